@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LB Lighting: dense media lit by a lattice-Boltzmann solver.
+
+`lb_lighting.transport` is the physics and needs no Blender; registration imports the rest.
+"""
+
+
+def _modules():
+    from . import cli
+    from .ui import operators, panels, properties
+
+    return (properties, operators, panels, cli)
+
+
+def register():
+    for module in _modules():
+        module.register()
+
+
+def unregister():
+    for module in reversed(_modules()):
+        module.unregister()

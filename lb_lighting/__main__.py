@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""python -m lb_lighting: the command line with Blender as a Python module."""
+
+import sys
+
+import bpy
+
+bpy.utils.expose_bundled_modules()
+
+from . import register  # noqa: E402 - OpenVDB has to be exposed first
+from .cli import main  # noqa: E402
+
+register()
+sys.exit(main(sys.argv[1:], opens_file=True))

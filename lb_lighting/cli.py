@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line, the same in Blender and with its Python module:
+
+    blender --background X.blend --command lb_lighting bake --objects Cloud --resolution 96
+    python -m lb_lighting bake X.blend --objects Cloud --resolution 96
+
+Both save the lit scene, print one sentence on failure and then exit with 1.
+"""
+
+import argparse
+import sys
+from dataclasses import fields
+
+import bpy
+
+from . import bake, job
+from .errors import LightingError, OutputError, SceneError
+
+_HELP = {
+    "resolution": "voxels along the longest edge",
+    "padding": "empty voxels around what is lit",
+    "domain": "object whose bounds are lit",
+    "medium": "MATERIAL, cloud, plant or pmma",
+    "optical_depth": "of the longest edge at density 1, for presets",
+    "grid": "grid to read from volumes and smoke",
+    "mode": "REPLACE or ADD",
+    "strength": "factor on the light in the render",
+    "keep_absorbed": "emit absorbed light again",
+    "device": "part of a device's name",
+    "folder": "where the .vdb is written",
+}
+
+
+def main(arguments, opens_file):
+    """Run one command; the exit code.
+
+    opens_file  whether the first argument of bake and clear is the .blend, or Blender has it open
+    """
+    parsed = _parser(opens_file).parse_args(arguments)
+    try:
+        parsed.run(parsed)
+    except LightingError as error:
+        print(f"lb_lighting: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser(opens_file):
+    parser = argparse.ArgumentParser("lb_lighting", description="Lattice-Boltzmann lighting")
+    commands = parser.add_subparsers(required=True, metavar="command")
+    baking = commands.add_parser("bake", help="light objects and save the scene")
+    baking.set_defaults(run=_bake)
+    baking.add_argument("--objects", nargs="+", metavar="NAME", help="default: the selected ones")
+    baking.add_argument("--frame", type=int, help="frame of the scene to light")
+    for option in fields(bake.Options):
+        # Left out, an option is what the .blend says.
+        how = {"action": "store_true"} if option.type is bool else {"type": option.type}
+        name = f"--{option.name.replace('_', '-')}"
+        baking.add_argument(name, default=None, help=_HELP[option.name], **how)
+    clearing = commands.add_parser("clear", help="take the light out and save the scene")
+    clearing.set_defaults(run=_clear)
+    clearing.add_argument("--delete-files", action="store_true", help="delete the .vdb files too")
+    for command in (baking, clearing):
+        if opens_file:
+            command.add_argument("blend", help="the scene")
+        command.add_argument("--output", metavar="BLEND", help="save here, not over the scene")
+    commands.add_parser("devices", help="list what can solve").set_defaults(run=_list_devices)
+    return parser
+
+
+def _bake(parsed):
+    _open(parsed)
+    scene = bpy.context.scene
+    if parsed.frame is not None:
+        scene.frame_set(parsed.frame)
+    changes = {f.name: getattr(parsed, f.name) for f in fields(bake.Options)}
+    outcome = bake.bake(
+        bpy.context,
+        _objects(scene, parsed.objects),
+        bake.Options.of(scene, **changes),
+        progress=_Progress(),
+    )
+    for note in outcome.notes:
+        print(note)
+    _save(parsed)
+    print(f"{outcome.summary}: {outcome.path}")
+
+
+def _clear(parsed):
+    _open(parsed)
+    count = bake.clear(bpy.context, parsed.delete_files)
+    _save(parsed)
+    print(f"LB light taken out of {count} objects")
+
+
+def _list_devices(_parsed):
+    print(*job.device_lines(), sep="\n")
+
+
+def _objects(scene, names):
+    if not names:
+        return [ob for ob in scene.objects if ob.select_get()]
+    missing = [name for name in names if name not in scene.objects]
+    if missing:
+        raise SceneError(f"The scene has no object '{missing[0]}'; check the name.")
+    return [scene.objects[name] for name in names]
+
+
+def _open(parsed):
+    if "blend" not in parsed:
+        return
+    try:
+        bpy.ops.wm.open_mainfile(filepath=parsed.blend)
+    except RuntimeError as error:
+        raise SceneError(f"{parsed.blend} cannot be opened; check the path.") from error
+
+
+def _save(parsed):
+    path = parsed.output or bpy.data.filepath
+    if not path:
+        raise OutputError("The scene has no file yet; say where to save it with --output.")
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+    except RuntimeError as error:
+        raise OutputError(f"{path} could not be written; choose another --output.") from error
+
+
+class _Progress:
+    """Prints a line at every tenth."""
+
+    def __init__(self):
+        self.tenths = 0
+
+    def __call__(self, stage, fraction):
+        tenths = int(fraction * 10 + 1e-9)
+        if tenths > self.tenths:
+            self.tenths = tenths
+            print(f"{stage}: {10 * tenths} %", flush=True)
+
+
+def _command(arguments):
+    return main(arguments, opens_file=False)
+
+
+_registered = []
+
+
+def register():
+    _registered.append(bpy.utils.register_cli_command("lb_lighting", _command))
+
+
+def unregister():
+    bpy.utils.unregister_cli_command(_registered.pop())

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What can go wrong, each said in one sentence that tells the user what to do.
+
+Every error that a user can meet derives from `LightingError`: operators and the
+command line print its text and stop; anything else is a defect and is left to
+show its traceback.
+"""
+
+
+class LightingError(Exception):
+    """The base of every error whose text is meant for the user."""
+
+
+class MediumError(LightingError):
+    """A medium that no solver can take: NaN, negative density, |g| >= 1, an empty grid."""
+
+
+class LightError(LightingError):
+    """No light, or a light that the chosen model cannot carry."""
+
+
+class SettingsError(LightingError):
+    """A setting that is unknown or out of its range."""
+
+
+class DeviceError(LightingError):
+    """No such device, a kernel that does not build, or too little memory."""
+
+
+class SceneError(LightingError):
+    """The scene lacks what was asked of it: no selection, no faces, no such grid or file."""
+
+
+class OutputError(LightingError):
+    """A result that cannot be written: a read-only folder, a full disk."""
+
+
+class SolverError(LightingError):
+    """The solver's process ended without a result."""
+
+
+class Cancelled(LightingError):  # noqa: N818 - the public name
+    """The user stopped the work; nothing was changed."""

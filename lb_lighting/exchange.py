@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Problems and fields as files, for the way to the solver's process and back.
+
+Plain arrays and JSON in one .npz: Blender knows our classes under another module name than the
+worker does, so nothing that names a class (a pickle) could cross.
+"""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from .errors import LightError
+from .transport.field import Field, Report
+from .transport.lights import PointLight, Sky, Sun
+from .transport.medium import Domain, Medium
+from .transport.solver import Settings
+
+_LIGHTS = {light.__name__: light for light in (Sun, Sky, PointLight)}
+_MEDIUM_ARRAYS = ("density", "sigma_s", "sigma_a", "g", "emission", "occlusion")
+_FIELD_ARRAYS = ("fluence", "direct", "flux", "variance")
+
+
+def save_problem(path, medium, lights, settings, device):
+    """Write what `solve` takes; device is a label or None."""
+    facts = {
+        "voxel_size": medium.voxel_size,
+        "origin": medium.origin,
+        "lights": [_light_facts(light) for light in lights],
+        "settings": asdict(settings),
+        "device": device,
+    }
+    _save(path, facts, medium, _MEDIUM_ARRAYS)
+
+
+def load_problem(path):
+    """(medium, lights, settings, device) as `save_problem` took them."""
+    facts, arrays = _load(path)
+    medium = Medium(voxel_size=facts["voxel_size"], origin=facts["origin"], **arrays)
+    lights = [_LIGHTS[light.pop("kind")](**light) for light in facts["lights"]]
+    return medium, lights, Settings(**facts["settings"]), facts["device"]
+
+
+def save_field(path, field):
+    facts = {"domain": asdict(field.domain), "report": asdict(field.report)}
+    _save(path, facts, field, _FIELD_ARRAYS)
+
+
+def load_field(path):
+    facts, arrays = _load(path)
+    domain = facts["domain"]
+    return Field(
+        domain=Domain(tuple(domain["origin"]), domain["voxel_size"], tuple(domain["shape"])),
+        report=Report(**facts["report"]),
+        **arrays,
+    )
+
+
+def _light_facts(light):
+    if isinstance(light, Sky) and callable(light.radiance):
+        raise LightError("A sky given as a function can be solved in the same process only.")
+    values = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(light).items()
+    }
+    return {"kind": type(light).__name__, **values}
+
+
+def _save(path, facts, holder, names):
+    arrays = {name: getattr(holder, name) for name in names}
+    present = {name: array for name, array in arrays.items() if array is not None}
+    np.savez(path, facts=json.dumps(facts), **present)
+
+
+def _load(path):
+    with np.load(path) as data:
+        return json.loads(str(data["facts"])), {k: data[k] for k in data.files if k != "facts"}

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The paper's final kernel: each flow is loaded once into a register, DEPTH varies fastest in
+// memory, and the targets are computed on the fly.
+//
+// Built with WIDTH, HEIGHT, DEPTH (nodes), FIRST (1 where absorbed light is dropped, else 0)
+// and, where the medium has opaque voxels, OCCLUSION.
+
+#define DIRECTIONS 19
+#define NODE(i, j, k) (((size_t)(i) * HEIGHT + (j)) * DEPTH + (k))
+#define FLOW(i, j, k, m) ((((size_t)(i) * HEIGHT + (j)) * DIRECTIONS + (m)) * DEPTH + (k))
+#define INSIDE(i, j, k)                                                                    \
+    ((i) > 0 && (i) < WIDTH - 1 && (j) > 0 && (j) < HEIGHT - 1 && (k) > 0 && (k) < DEPTH - 1)
+
+__kernel void update(__global const float *from, __global float *to,
+                     __constant float *omega, __global const float *density,
+#ifdef OCCLUSION
+                     __global const float *occlusion,
+#endif
+                     __constant int *direction)
+{
+    const int i = get_global_id(2);
+    const int j = get_global_id(1);
+    const int k = get_global_id(0);
+    const float d = density[NODE(i, j, k)];
+    float f[DIRECTIONS]; // indexed by constants only, so it lives in registers
+
+#pragma unroll
+    for (int m = 0; m < DIRECTIONS; m++)
+        f[m] = from[FLOW(i, j, k, m)];
+
+#pragma unroll
+    for (int m = FIRST; m < DIRECTIONS; m++) {
+        const int out_i = i + direction[3 * m + 0];
+        const int out_j = j + direction[3 * m + 1];
+        const int out_k = k + direction[3 * m + 2];
+        if (INSIDE(out_i, out_j, out_k)) {
+            float flow = 0.0f;
+#pragma unroll
+            for (int n = 0; n < DIRECTIONS; n++)
+                flow += omega[m * DIRECTIONS + n] * f[n];
+            flow = f[m] + flow * d;
+#ifdef OCCLUSION
+            flow *= 1.0f - occlusion[NODE(i, j, k)];
+#endif
+            to[FLOW(out_i, out_j, out_k, m)] = flow;
+        }
+    }
+}

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender materials as optical coefficients: volumes, and leaves as a turbid medium."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SceneError
+from ..transport.medium import Optics
+from .shaders import Shader
+
+VOLUME_NODES = {
+    "PRINCIPLED_VOLUME",
+    "VOLUME_SCATTER",
+    "VOLUME_ABSORPTION",
+    "VOLUME_COEFFICIENTS",
+}
+REFLECTING_NODES = {"BSDF_DIFFUSE", "BSDF_GLOSSY", "SUBSURFACE_SCATTERING"}
+LEAF_NODES = REFLECTING_NODES | {"BSDF_PRINCIPLED", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT"}
+DEFAULT_REFLECTANCE = 0.8  # of a surface without a material, as Cycles renders it
+
+
+@dataclass(frozen=True)
+class VolumeOptics:
+    """A volume material.
+
+    optics             `Optics` where the density attribute is 1, or everywhere without one
+    density_attribute  name of the grid that multiplies the coefficients, or None
+    """
+
+    optics: Optics
+    density_attribute: str | None
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A leaf's surface, for light of any direction and both sides alike.
+
+    reflectance    (3,), share of the light that goes back
+    transmittance  (3,), share of the light that goes through, scattered
+    coverage       share of the surface that is there at all, the rest being transparent
+    """
+
+    reflectance: tuple
+    transmittance: tuple
+    coverage: float = 1.0
+
+    @property
+    def optics(self):
+        """`Optics` for an extinction of 1 1/m: they multiply `foliage_density` times `coverage`.
+
+        g = 4/9 (tau - rho)/(tau + rho) is the mean cosine of leaves turned every way (Ross 1981).
+        """
+        rho, tau = np.array(self.reflectance), np.array(self.transmittance)
+        albedo = rho + tau
+        g = np.divide(4 / 9 * (tau - rho), albedo, out=np.zeros(3), where=albedo > 0)
+        return grey(Optics(tuple(albedo), tuple(1 - albedo), tuple(g)))
+
+
+def grey(optics):
+    """`optics` with scalars where all its bands are equal, so that one band is solved."""
+    values = [np.atleast_1d(v) for v in (optics.sigma_s, optics.sigma_a, optics.g)]
+    if any(np.ptp(v) for v in values):
+        return optics
+    return Optics(*(float(v[0]) for v in values))
+
+
+def volume_optics(material):
+    """The `VolumeOptics` of a material, or None where it has no volume.
+
+    Definitions as in Cycles (intern/cycles/kernel/svm/closure.h), which the tests hold it to.
+    Raises SceneError for nodes that cannot be read as constants times one density attribute.
+    """
+    shader = Shader(material)
+    closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
+    if not closures:
+        return None
+    sigma_s, sigma_a, moment = np.zeros((3, 3))
+    attributes = set()
+    for closure in closures:
+        scattering, absorption, g, scale, attribute = _volume_closure(shader, closure)
+        sigma_s += scattering * scale
+        sigma_a += absorption * scale
+        moment += scattering * scale * g
+        attributes.add(attribute)
+    if len(attributes) > 1:
+        raise SceneError(
+            f"The volume nodes of '{material.name}' use different density attributes; "
+            "give all of them the same."
+        )
+    g = np.divide(moment, sigma_s, out=np.zeros(3), where=sigma_s > 0)
+    return VolumeOptics(grey(Optics(tuple(sigma_s), tuple(sigma_a), tuple(g))), attributes.pop())
+
+
+def leaf_optics(material):
+    """The `Leaf` that a surface material makes; a plain grey one for None.
+
+    Raises SceneError for nodes that cannot be read, or that make light.
+    """
+    if material is None:
+        return Leaf((DEFAULT_REFLECTANCE,) * 3, (0.0,) * 3)
+    shader = Shader(material)
+    rho, tau, clear = np.zeros(3), np.zeros(3), 0.0
+    for closure in shader.closures("Surface", LEAF_NODES, ignored={"EMISSION"}):
+        reflected, transmitted, transparent = _leaf_closure(shader, closure)
+        rho += closure.weight * reflected
+        tau += closure.weight * transmitted
+        clear += closure.weight * transparent
+    coverage = max(0.0, 1 - clear)
+    if np.any(rho + tau > coverage + 1e-6):
+        raise SceneError(
+            f"'{material.name}' sends out more light than falls on it; mix its shaders "
+            "instead of adding them."
+        )
+    share = coverage or 1.0
+    return Leaf(tuple(rho / share), tuple(tau / share), coverage)
+
+
+def _volume_closure(shader, closure):
+    """(sigma_s (3,), sigma_a (3,), g, scale, density attribute), the first two at density 1."""
+    kind = closure.node.type
+    if kind == "VOLUME_COEFFICIENTS":
+        scattering = shader.color(closure, "Scatter Coefficients")
+        absorption = shader.color(closure, "Absorption Coefficients")
+        return scattering, absorption, _mean_cosine(shader, closure), closure.weight, None
+    density, attribute = shader.scaled_attribute(closure, "Density")
+    scale = closure.weight * max(0.0, density)
+    color = shader.color(closure, "Color")
+    if kind == "VOLUME_SCATTER":
+        return color, np.zeros(3), _mean_cosine(shader, closure), scale, attribute
+    if kind == "VOLUME_ABSORPTION":
+        return np.zeros(3), np.maximum(0, 1 - color), 0.0, scale, attribute
+    _refuse_color_attribute(shader, closure)
+    own = shader.text(closure, "Density Attribute") or None
+    if own and attribute:
+        raise SceneError(
+            f"'{shader.owner.name}' multiplies the density attributes '{own}' and '{attribute}'; "
+            "clear one of them."
+        )
+    tint = np.sqrt(np.maximum(0, shader.color(closure, "Absorption Color")))
+    absorption = np.maximum(0, 1 - color) * np.maximum(0, 1 - tint)
+    return color, absorption, shader.number(closure, "Anisotropy"), scale, own or attribute
+
+
+def _refuse_color_attribute(shader, closure):
+    attribute = shader.text(closure, "Color Attribute")
+    if attribute:
+        raise SceneError(
+            f"The colour of '{shader.owner.name}' follows the attribute '{attribute}', but one "
+            "colour is needed for the whole volume; clear Color Attribute."
+        )
+
+
+def _mean_cosine(shader, closure):
+    phase = closure.node.phase
+    if phase == "RAYLEIGH":
+        return 0.0
+    if phase != "HENYEY_GREENSTEIN":
+        raise SceneError(
+            f"'{shader.owner.name}' scatters by the phase function '{phase.title()}'; "
+            "choose Henyey-Greenstein or Rayleigh."
+        )
+    return shader.number(closure, "Anisotropy")
+
+
+def _leaf_closure(shader, closure):
+    """(reflectance (3,), transmittance (3,), transparency) of one closure."""
+    kind = closure.node.type
+    dark = np.zeros(3)
+    if kind == "BSDF_PRINCIPLED":
+        color = shader.color(closure, "Base Color")
+        alpha = shader.number(closure, "Alpha")
+        through = shader.number(closure, "Transmission Weight")
+        # A metal reflects and lets nothing through, whatever its transmission.
+        through *= 1 - shader.number(closure, "Metallic")
+        return alpha * (1 - through) * color, alpha * through * color, 1 - alpha
+    color = shader.color(closure, "Color")
+    if kind == "BSDF_TRANSPARENT":
+        return dark, dark, float(color.mean())
+    return (color, dark, 0.0) if kind in REFLECTING_NODES else (dark, color, 0.0)

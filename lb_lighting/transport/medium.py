@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The medium that light crosses: where it is, how dense, and how it scatters.
+
+`Domain` is the box of voxels, `Optics` the material per unit density, and
+`Medium` the two together with the density of each voxel.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import MediumError
+
+SMALLEST_EDGE = 3  # voxels: a boundary node on either side and one node between them
+
+
+@dataclass(frozen=True)
+class Domain:
+    """An axis-aligned box of cubic voxels in world space.
+
+    origin      (3,) m, the outer corner of voxel (0, 0, 0)
+    voxel_size  m, the edge of a voxel
+    shape       (nx, ny, nz) voxels
+    """
+
+    origin: tuple
+    voxel_size: float
+    shape: tuple
+
+    @classmethod
+    def around(cls, lower, upper, resolution, padding=2):
+        """The domain that holds the box from `lower` to `upper` (each (3,) m), centred on it.
+
+        resolution  voxels along the longest edge, padding included
+        padding     empty voxels kept on every side
+        Raises MediumError for an empty box or too low a resolution.
+        """
+        lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+        extent = upper - lower
+        if not np.all(np.isfinite(extent)) or np.any(extent < 0) or extent.max() == 0:
+            raise MediumError("The region to light has no extent; select something with a size.")
+        if resolution < 2 * padding + SMALLEST_EDGE:
+            raise MediumError(
+                f"A resolution of {resolution} voxels is too low; "
+                f"use {2 * padding + SMALLEST_EDGE} or more."
+            )
+        voxel_size = float(extent.max() / (resolution - 2 * padding))
+        # The tolerance keeps rounding from adding a voxel to an edge that divides evenly.
+        inner = np.maximum(1, np.ceil(extent / voxel_size - 1e-6)).astype(int)
+        shape = inner + 2 * padding
+        origin = (lower + upper) / 2 - shape * voxel_size / 2
+        return cls(tuple(map(float, origin)), voxel_size, tuple(map(int, shape)))
+
+    @property
+    def upper(self):
+        """(3,) m, the corner opposite to `origin`."""
+        return tuple(np.add(self.origin, np.multiply(self.shape, self.voxel_size)))
+
+    def to_index(self, points):
+        """World points (..., 3) m -> continuous voxel coordinates; voxel centres are integers."""
+        return (np.asarray(points, float) - self.origin) / self.voxel_size - 0.5
+
+    def centers(self):
+        """(nx, ny, nz, 3) m, the voxel centres."""
+        axes = [
+            o + (np.arange(n) + 0.5) * self.voxel_size
+            for o, n in zip(self.origin, self.shape, strict=True)
+        ]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+@dataclass(frozen=True)
+class Optics:
+    """How a material scatters at density 1: sigma_s, sigma_a (1/m) and g, scalars or by band."""
+
+    sigma_s: tuple | float
+    sigma_a: tuple | float
+    g: tuple | float = 0.0
+
+
+# The papers' materials: paper 1, section 3.2.1 (cloud), table 1 (plant), table 2 (PMMA).
+PRESETS = {
+    "cloud": Optics(sigma_s=0.792, sigma_a=0.008, g=0.9),
+    "plant": Optics(
+        sigma_s=(0.891, 0.909, 0.882), sigma_a=(0.109, 0.091, 0.118), g=(-0.231, 0.103, -0.750)
+    ),
+    "pmma": Optics(sigma_s=(0.99, 0.99, 0.99), sigma_a=(0.01, 0.01, 0.01), g=(0.80, -0.88, -0.88)),
+}
+
+
+class Medium:
+    """A voxel medium; density is constant within a voxel, and outside is vacuum.
+
+    density     (nx, ny, nz), dimensionless multiplier of the coefficients
+    voxel_size  m
+    sigma_s     scattering coefficient at density 1, 1/m, scalar or (bands,)
+    sigma_a     absorption coefficient at density 1, 1/m, scalar or (bands,)
+    g           mean cosine of the Henyey-Greenstein phase function, scalar or (bands,)
+    origin      (3,) m, outer corner of voxel (0, 0, 0)
+    emission    (nx, ny, nz) or (bands, nx, ny, nz), W/m^3 radiated isotropically, or None
+    occlusion   (nx, ny, nz) or None, the share (0 to 1) of each voxel's light that opaque
+                matter stops, whatever the density
+
+    Attributes are the same, with sigma_s, sigma_a and g as (bands,) float64 arrays.
+    Raises MediumError, naming what and where, for anything that is not physical;
+    nothing is clamped.
+    """
+
+    def __init__(
+        self,
+        density,
+        voxel_size,
+        sigma_s,
+        sigma_a,
+        g=0.0,
+        origin=(0, 0, 0),
+        emission=None,
+        occlusion=None,
+    ):
+        self.density = _grid(density, "density")
+        self.voxel_size = float(voxel_size)
+        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0):
+            raise MediumError(f"The voxel size must be positive; it is {voxel_size} m.")
+        self.origin = tuple(map(float, origin))
+        if len(self.origin) != 3 or not np.all(np.isfinite(self.origin)):
+            raise MediumError(f"The origin must be three finite coordinates; it is {origin}.")
+        self.sigma_s, self.sigma_a, self.g = _by_band(sigma_s, sigma_a, g)
+        self.emission = None if emission is None else self._emission(emission)
+        self.occlusion = None if occlusion is None else self._occlusion(occlusion)
+
+    @property
+    def bands(self):
+        return len(self.sigma_s)
+
+    @property
+    def shape(self):
+        return self.density.shape
+
+    @property
+    def domain(self):
+        return Domain(self.origin, self.voxel_size, self.shape)
+
+    @property
+    def sigma_t(self):
+        """(bands,) 1/m, the extinction coefficient at density 1."""
+        return self.sigma_s + self.sigma_a
+
+    @property
+    def albedo(self):
+        """(bands,), the share of collisions that scatter; 0 where nothing collides."""
+        return np.divide(
+            self.sigma_s, self.sigma_t, out=np.zeros(self.bands), where=self.sigma_t > 0
+        )
+
+    def _emission(self, emission):
+        emission = np.asarray(emission, np.float32)
+        if emission.shape not in (self.shape, (self.bands, *self.shape)):
+            raise MediumError(
+                f"The emission has shape {emission.shape}; it must be that of the density, "
+                f"{self.shape}, or {(self.bands, *self.shape)}."
+            )
+        _refuse_bad_voxels(emission, "emission")
+        return np.ascontiguousarray(np.broadcast_to(emission, (self.bands, *self.shape)))
+
+    def _occlusion(self, occlusion):
+        occlusion = _grid(occlusion, "occlusion")
+        if occlusion.shape != self.shape:
+            raise MediumError(
+                f"The occlusion has shape {occlusion.shape}; it must be that of the density, "
+                f"{self.shape}."
+            )
+        if occlusion.max() > 1:
+            raise MediumError(f"The occlusion must be at most 1; it reaches {occlusion.max():g}.")
+        return occlusion
+
+
+def _grid(values, name):
+    """`values` as a contiguous float32 grid, or a MediumError that says what is wrong with it."""
+    values = np.asarray(values)
+    if values.ndim != 3 or values.size == 0:
+        raise MediumError(
+            f"The {name} must be a grid of three dimensions with at least one voxel; "
+            f"its shape is {values.shape}."
+        )
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(values, np.float32)
+    _refuse_bad_voxels(values, name)
+    return values
+
+
+def _refuse_bad_voxels(values, name):
+    for bad, what in ((~np.isfinite(values), "not finite"), (values < 0, "negative")):
+        count = np.count_nonzero(bad)
+        if count:
+            voxel = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise MediumError(
+                f"The {name} is {what} in {count} of {values.size} voxels, "
+                f"first at {voxel}; repair the grid and try again."
+            )
+
+
+def _by_band(sigma_s, sigma_a, g):
+    """The coefficients broadcast to (bands,) float64, refused where they are not physical."""
+    named = {
+        "sigma_s": np.atleast_1d(np.asarray(sigma_s, float)),
+        "sigma_a": np.atleast_1d(np.asarray(sigma_a, float)),
+        "g": np.atleast_1d(np.asarray(g, float)),
+    }
+    try:
+        bands = np.broadcast_shapes(*(v.shape for v in named.values()))
+    except ValueError:
+        bands = ()
+    if len(bands) != 1 or bands[0] == 0:
+        shapes = ", ".join(f"{name} {v.shape}" for name, v in named.items())
+        raise MediumError(f"The coefficients must agree on the number of bands; got {shapes}.")
+    for name, values in named.items():
+        good = np.abs(values) < 1 if name == "g" else np.isfinite(values) & (values >= 0)
+        if not np.all(good):
+            band = int(np.argmin(good))
+            rule = "between -1 and 1" if name == "g" else "finite and not negative"
+            raise MediumError(f"{name} must be {rule}; in band {band} it is {values[band]}.")
+    return tuple(np.broadcast_to(v, bands).copy() for v in named.values())
+
+
+def paper_units(medium):
+    """The same medium as the paper's lattice reads it: probabilities instead of 1/m.
+
+    The paper has no unit of length: sigma x density is the share of light that collides on its
+    way through a voxel. In a medium of sigma_t per metre that share is 1 - exp(-sigma_t density
+    h), with h the voxel size, which is never over 1, so the lattice is stable. The densest band
+    (largest sigma_t) is taken exactly; the others keep their ratio to it.
+    """
+    largest = float(medium.sigma_t.max())
+    if largest == 0:
+        return medium
+    return Medium(
+        -np.expm1(-largest * medium.voxel_size * medium.density.astype(float)),
+        medium.voxel_size,
+        medium.sigma_s / largest,
+        medium.sigma_a / largest,
+        medium.g,
+        medium.origin,
+        medium.emission,
+        medium.occlusion,
+    )

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The choices of a scene and of its objects, kept in the .blend; see `bake.Options`."""
+
+import functools
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from .. import job
+from ..errors import LightingError
+
+MEDIA = [
+    ("MATERIAL", "From Material", "Read scattering, absorption and g from each object's material"),
+    ("cloud", "Cloud", "Water droplets: hardly any absorption, scattering strongly forward"),
+    ("plant", "Plant", "Leaves: green light passes and is scattered, red and blue are absorbed"),
+    ("pmma", "PMMA", "Translucent acrylic plastic"),
+]
+MODES = [
+    (
+        "REPLACE",
+        "Replace",
+        "The lit volume takes the place of its source, which is hidden: fast, and without noise",
+    ),
+    (
+        "ADD",
+        "Add",
+        "The source stays and Cycles scatters light in it once; the light of many scatterings "
+        "is laid over it, for the camera alone",
+    ),
+]
+ROLES = [
+    ("AUTO", "Automatic", "Solid where the material has a volume, foliage where it has none"),
+    ("FOLIAGE", "Foliage", "Leaves and twigs: surfaces that are lit as a cloud of leaves"),
+    ("SOLID", "Solid", "A closed body of a translucent material"),
+    ("OCCLUDER", "Occluder", "A closed body that stops all light"),
+]
+
+
+@functools.cache
+def _device_labels():
+    return [line.rsplit(": ", 1)[0] for line in job.device_lines()]
+
+
+def _search_devices(_properties, _context, text):
+    try:
+        return [label for label in _device_labels() if text.casefold() in label.casefold()]
+    except LightingError:  # a driver that dies must not take the text field with it
+        return []
+
+
+class SceneProperties(bpy.types.PropertyGroup):
+    resolution: IntProperty(
+        name="Resolution",
+        description="Voxels along the longest edge. Twice as many take 16 times as long",
+        default=64,
+        min=0,
+        soft_min=16,
+        soft_max=256,
+    )
+    padding: IntProperty(
+        name="Padding",
+        description="Empty voxels around what is lit, through which light enters",
+        default=2,
+        min=1,
+        soft_max=16,
+    )
+    domain: PointerProperty(
+        name="Domain",
+        description="Light the bounds of this object instead of those of the selection",
+        type=bpy.types.Object,
+    )
+    medium: EnumProperty(name="Medium", description="What the light scatters in", items=MEDIA)
+    optical_depth: FloatProperty(
+        name="Optical Depth",
+        description="How dense a preset is: the mean number of collisions on a straight line as "
+        "long as the domain, through density 1. Foliage takes its own from its leaves",
+        default=30,
+        min=0.001,
+        soft_max=200,
+    )
+    grid: StringProperty(
+        name="Grid",
+        description="Grid to read from volumes and smoke; empty for the one the material names",
+    )
+    mode: EnumProperty(name="Volumes", description="How a lit volume is rendered", items=MODES)
+    strength: FloatProperty(
+        name="Strength", description="Factor on the light in the render", default=1, min=0
+    )
+    keep_absorbed: BoolProperty(
+        name="Keep Absorbed Light",
+        description="Emit absorbed light again instead of losing it: brighter, and less coloured",
+    )
+    device: StringProperty(
+        name="Device",
+        description="What solves: empty for the fastest kind, or part of a device's name",
+        search=_search_devices,
+        search_options={"SUGGESTION"},
+    )
+    folder: StringProperty(
+        name="Folder",
+        description="Where the .vdb is written; empty for the folder of the .blend, or the "
+        "extension's own while that is not saved",
+        subtype="DIR_PATH",
+    )
+
+
+class ObjectProperties(bpy.types.PropertyGroup):
+    role: EnumProperty(name="Role", description="What this object is to the light", items=ROLES)
+
+
+def register():
+    for group, owner in ((SceneProperties, bpy.types.Scene), (ObjectProperties, bpy.types.Object)):
+        bpy.utils.register_class(group)
+        owner.lb_lighting = PointerProperty(type=group)
+
+
+def unregister():
+    for group, owner in ((SceneProperties, bpy.types.Scene), (ObjectProperties, bpy.types.Object)):
+        del owner.lb_lighting
+        bpy.utils.unregister_class(group)

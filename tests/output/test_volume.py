@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked volumes: the file, the object that shows it, and their removal."""
+
+import os
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting.errors import OutputError
+from lb_lighting.output.volume import (
+    DENSITY_GRID,
+    LIGHT_GRID,
+    baked_volumes,
+    default_folder,
+    delete_baked_file,
+    read_metadata,
+    remove_baked,
+    show_volume,
+    write_vdb,
+)
+from lb_lighting.transport.medium import Domain
+
+needs_posix = pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
+
+SETTINGS = {"model": "paper", "resolution": 64, "g": 0.1}
+
+
+@pytest.fixture
+def domain():
+    return Domain((-1.0, 2.0, 0.5), 0.25, (7, 8, 9))
+
+
+@pytest.fixture
+def density(domain):
+    density = np.zeros(domain.shape, np.float32)
+    density[1:4, 2:4, 0:3] = np.random.default_rng(1).uniform(0.5, 1, (3, 2, 3))
+    return density
+
+
+@pytest.fixture
+def light(domain):
+    return np.random.default_rng(2).uniform(0.5, 1, (3, *domain.shape)).astype(np.float32)
+
+
+def read_grid(path, name):
+    import openvdb
+
+    return openvdb.read(str(path), name)
+
+
+def voxels(grid, start, shape):
+    array = np.zeros(shape, np.float32)
+    grid.copyToArray(array, ijk=start)
+    return array
+
+
+def test_density_is_written_as_it_is(tmp_path, domain, density, light):
+    write_vdb(tmp_path / "a.vdb", domain, density, light, {})
+    grid = read_grid(tmp_path / "a.vdb", DENSITY_GRID)
+    assert np.array_equal(voxels(grid, (0, 0, 0), domain.shape), density)
+    assert grid.activeVoxelCount() == np.count_nonzero(density)
+
+
+def test_light_reaches_two_voxels_beyond_density_and_the_domain(tmp_path, domain, density, light):
+    write_vdb(tmp_path / "a.vdb", domain, density, light, {})
+    grid = read_grid(tmp_path / "a.vdb", LIGHT_GRID)
+    found = voxels(grid, (0, 0, 0), (*domain.shape, 3))
+    lit = np.zeros(domain.shape, bool)
+    lit[:6, :6, :5] = True
+    assert np.array_equal(found, np.moveaxis(light * lit, 0, -1))
+    beyond = voxels(grid, (2, 2, -2), (1, 1, 2, 3))
+    assert np.array_equal(beyond[0, 0], np.tile(light[:, 2, 2, 0], (2, 1)))
+
+
+def test_gray_light_is_written_to_all_bands(tmp_path, domain, density, light):
+    write_vdb(tmp_path / "a.vdb", domain, density, light[:1], {})
+    found = voxels(read_grid(tmp_path / "a.vdb", LIGHT_GRID), (2, 2, 1), (1, 1, 1, 3))
+    assert np.all(found == light[0, 2, 2, 1])
+
+
+@pytest.mark.parametrize("name", [LIGHT_GRID, DENSITY_GRID])
+def test_voxel_centers_are_where_the_domain_has_them(tmp_path, domain, density, light, name):
+    write_vdb(tmp_path / "a.vdb", domain, density, light, {})
+    transform = read_grid(tmp_path / "a.vdb", name).transform
+    centers = domain.centers()
+    for voxel in ((0, 0, 0), (6, 7, 8)):
+        assert transform.indexToWorld(voxel) == pytest.approx(centers[voxel])
+
+
+def test_metadata_is_read_back(tmp_path, domain, density, light):
+    write_vdb(tmp_path / "a.vdb", domain, density, light, SETTINGS)
+    assert read_metadata(tmp_path / "a.vdb") == SETTINGS
+    stamped = read_grid(tmp_path / "a.vdb", LIGHT_GRID).metadata
+    assert stamped["lb_lighting:model"] == "paper"
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a volume"])
+def test_metadata_of_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "a.vdb"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(OutputError, match="was not written by LB Lighting"):
+        read_metadata(path)
+
+
+def test_a_file_of_the_user_is_not_overwritten(tmp_path, domain, density, light):
+    import openvdb
+
+    path = tmp_path / "mine.vdb"
+    openvdb.write(str(path), [openvdb.FloatGrid()])
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match="choose another file name"):
+        write_vdb(path, domain, density, light, {})
+    assert path.read_bytes() == before
+
+
+def test_missing_folder_is_one_sentence(tmp_path, domain, density, light):
+    with pytest.raises(OutputError, match="could not be written; choose a folder"):
+        write_vdb(tmp_path / "nowhere" / "a.vdb", domain, density, light, {})
+
+
+@contextmanager
+def read_only(folder):
+    """Inside, this process may not write to `folder`."""
+    user = os.geteuid()
+    folder.chmod(0o555)
+    try:
+        if user == 0:  # to root, no folder is read-only
+            os.seteuid(65534)
+        yield
+    finally:
+        os.seteuid(user)
+        folder.chmod(0o755)
+
+
+@pytest.fixture
+def shared_folder():
+    """A folder that every user can reach, unlike pytest's own."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+@needs_posix
+def test_read_only_folder_is_one_sentence(shared_folder, domain, density, light):
+    expected = pytest.raises(OutputError, match="choose a folder that is writable")
+    with read_only(shared_folder), expected:
+        write_vdb(shared_folder / "a.vdb", domain, density, light, {})
+    assert os.listdir(shared_folder) == []
+
+
+@needs_posix
+def test_file_that_cannot_be_deleted_is_one_sentence(shared_folder, domain, density, light):
+    path = shared_folder / "a.vdb"
+    write_vdb(path, domain, density, light, {})
+    expected = pytest.raises(OutputError, match="make its folder writable")
+    with read_only(shared_folder), expected:
+        delete_baked_file(path)
+    assert path.exists()
+
+
+def test_full_disk_leaves_the_old_file_whole(tmp_path, domain, density, light):
+    resource = pytest.importorskip("resource")
+    path = tmp_path / "a.vdb"
+    write_vdb(path, domain, density, light, SETTINGS)
+    before = path.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+    try:
+        with pytest.raises(OutputError, match="free space"):
+            write_vdb(path, domain, density, light, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.vdb"]
+
+
+def test_one_volume_object_per_source(tmp_path, domain, density, light):
+    path = tmp_path / "a.vdb"
+    write_vdb(path, domain, density, light, {})
+    cloud = show_volume(bpy.context, "cloud", path)
+    assert show_volume(bpy.context, "cloud", path) == cloud
+    smoke = show_volume(bpy.context, "smoke", path)
+    assert baked_volumes(bpy.context.scene) == [cloud, smoke]
+    cloud.data.grids.load()
+    assert {grid.name for grid in cloud.data.grids} == {LIGHT_GRID, DENSITY_GRID}
+
+
+def test_path_is_relative_to_a_saved_file(tmp_path, domain, density, light):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert default_folder() == tmp_path
+    path = default_folder() / "a.vdb"
+    write_vdb(path, domain, density, light, {})
+    ob = show_volume(bpy.context, "cloud", path)
+    assert ob.data.filepath == "//a.vdb"
+
+
+def test_folder_of_an_unsaved_file_exists():
+    assert default_folder().is_dir()
+
+
+@pytest.mark.parametrize("delete_file", [True, False])
+def test_remove_takes_only_what_is_ours(tmp_path, domain, density, light, delete_file):
+    path = tmp_path / "a.vdb"
+    write_vdb(path, domain, density, light, {})
+    mine = bpy.data.objects.new("mine", bpy.data.volumes.new("mine"))
+    bpy.context.scene.collection.objects.link(mine)
+    ob = show_volume(bpy.context, "cloud", path)
+    ob.data.materials.append(bpy.data.materials.new("mine"))
+    remove_baked(ob, delete_file)
+    assert list(bpy.data.objects) == [mine]
+    assert list(bpy.data.volumes) == [mine.data]
+    assert bpy.data.materials.keys() == ["mine"]
+    assert path.exists() is not delete_file
+
+
+def test_remove_keeps_a_file_that_is_not_ours(tmp_path, domain, density, light):
+    import openvdb
+
+    path = tmp_path / "mine.vdb"
+    openvdb.write(str(path), [openvdb.FloatGrid()])
+    remove_baked(show_volume(bpy.context, "cloud", path), delete_file=True)
+    assert path.exists()

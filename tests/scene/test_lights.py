@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Suns and the world, held to what Cycles makes of them."""
+
+from math import pi, radians
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler
+
+from lb_lighting.errors import LightError
+from lb_lighting.scene.lights import scene_lights
+from lb_lighting.transport.lights import Sky, Sun
+
+
+def add_sun(collection=None, rotation=(0, 0, 0), **settings):
+    lamp = bpy.data.lights.new("sun", "SUN")
+    for name, value in settings.items():
+        setattr(lamp, name, value)
+    ob = bpy.data.objects.new("sun", lamp)
+    ob.rotation_euler = rotation
+    (collection or bpy.context.collection).objects.link(ob)
+    return ob
+
+
+def add_world(color=(1, 1, 1), strength=1.0):
+    world = bpy.context.scene.world = bpy.data.worlds.new("world")
+    background = world.node_tree.nodes["Background"]
+    background.inputs["Color"].default_value = (*color, 1)
+    background.inputs["Strength"].default_value = strength
+    return world
+
+
+def add_environment(world, pixels):
+    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    height, width, _four = pixels.shape
+    node.image = bpy.data.images.new("sky", width, height, float_buffer=True)
+    node.image.pixels.foreach_set(pixels.astype(np.float32).ravel())
+    world.node_tree.links.new(node.outputs[0], world.node_tree.nodes["Background"].inputs["Color"])
+    return node
+
+
+def add_white_ground():
+    bpy.ops.mesh.primitive_plane_add(size=4)
+    material = bpy.data.materials.new("white")
+    nodes = material.node_tree.nodes
+    nodes["Principled BSDF"].inputs["Base Color"].default_value = (1, 1, 1, 1)
+    nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0
+    bpy.context.object.data.materials.append(material)
+
+
+def lights():
+    return scene_lights(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
+
+
+class TestSuns:
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"energy": 2.0, "color": (1, 0.5, 0.25)},
+            {"energy": 1.5, "exposure": 1.0, "use_temperature": True, "temperature": 3000},
+            {"energy": 4.0, "normalize": False, "angle": radians(30)},
+            {"energy": 4.0, "normalize": False, "angle": 0.0},
+        ],
+    )
+    def test_irradiance_is_that_of_cycles(self, settings, render):
+        """A white diffuse ground sends back irradiance over pi."""
+        add_white_ground()
+        add_sun(**settings)
+        (sun,) = lights()
+        assert render() * pi == pytest.approx(np.broadcast_to(sun.irradiance, 3), rel=1e-2)
+
+    def test_strength_and_color_of_its_nodes(self, render):
+        add_white_ground()
+        lamp = add_sun(energy=2.0).data
+        emission = lamp.node_tree.nodes["Emission"]
+        emission.inputs["Color"].default_value = (1, 0.5, 0, 1)
+        emission.inputs["Strength"].default_value = 3
+        (sun,) = lights()
+        assert sun.irradiance == pytest.approx((6, 3, 0))
+        assert render() * pi == pytest.approx(sun.irradiance, rel=1e-2)
+
+    def test_grey_is_a_scalar(self):
+        add_sun(energy=2.0)
+        assert lights() == [Sun((0, 0, -1), 2.0)]
+
+    def test_direction_is_where_the_light_goes(self):
+        rotation = Euler((0.5, -0.3, 1.2))
+        add_sun(rotation=rotation)
+        (sun,) = lights()
+        assert sun.direction == pytest.approx(-rotation.to_matrix().col[2])
+
+    def test_instanced(self):
+        collection = bpy.data.collections.new("lamps")
+        add_sun(collection)
+        empty = bpy.data.objects.new("empty", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        empty.rotation_euler = (pi / 2, 0, 0)
+        bpy.context.collection.objects.link(empty)
+        (sun,) = lights()
+        assert sun.direction == pytest.approx((0, 1, 0), abs=1e-6)
+
+    def test_hidden_ones_are_left_out(self):
+        add_sun(energy=1.0)
+        add_sun(energy=2.0).hide_render = True
+        collection = bpy.data.collections.new("off")
+        bpy.context.scene.collection.children.link(collection)
+        add_sun(collection, energy=3.0)
+        collection.hide_render = True
+        add_sun(energy=0.0)
+        assert [sun.irradiance for sun in lights()] == [1.0]
+
+    def test_other_lamps_do_not_count(self):
+        lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
+        bpy.context.collection.objects.link(lamp)
+        with pytest.raises(LightError, match="no light"):
+            lights()
+
+
+class TestWorld:
+    def test_color_times_strength(self):
+        add_world((0.5, 0.25, 1), 2.0)
+        (sky,) = lights()
+        assert isinstance(sky, Sky)
+        assert sky.radiance == pytest.approx((1, 0.5, 2))
+
+    def test_grey_is_a_scalar(self):
+        add_world(strength=0.5)
+        assert lights() == [Sky(0.5)]
+
+    def test_beside_a_sun(self):
+        add_world()
+        add_sun()
+        assert [type(light) for light in lights()] == [Sun, Sky]
+
+    def test_environment_averages_over_solid_angle(self):
+        """Radiance 1 above 45 degrees of latitude: (1 - sin 45)/2 of the sphere."""
+        pixels = np.zeros((64, 8, 4))
+        pixels[48:] = 1
+        add_environment(add_world(), pixels)
+        (sky,) = lights()
+        assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
+
+    def test_missing_image_is_refused(self):
+        world = add_world()
+        add_environment(world, np.ones((2, 2, 4))).image = None
+        with pytest.raises(LightError, match=r"'world'.*not loaded"):
+            lights()
+
+    def test_sky_texture_is_refused(self):
+        world = add_world()
+        tree = world.node_tree
+        sky = tree.nodes.new("ShaderNodeTexSky")
+        tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
+        with pytest.raises(LightError, match="Sky Texture"):
+            lights()
+
+    def test_no_light_at_all(self):
+        with pytest.raises(LightError, match="no light"):
+            lights()
+        add_world((0, 0, 0))
+        with pytest.raises(LightError, match="no light"):
+            lights()
