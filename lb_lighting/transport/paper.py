@@ -4,6 +4,7 @@
 import numpy as np
 import pyopencl as cl
 
+from ..errors import DeviceError
 from .device import context, program, queue, require_memory
 from .lattice import DIRECTIONS
 from .reference import initial_light
@@ -32,10 +33,7 @@ class PaperLattice:
         if medium.occlusion is not None:
             defines.append("OCCLUSION")
         self.update = cl.Kernel(program(device, f"lattice_{kernel}.cl", tuple(defines)), "update")
-        # The paper's work-group is a stripe along DEPTH; a stripe too long for the device is
-        # left to the driver, except where the kernel depends on it.
-        stripe_fits = self.shape[2] <= self.queue.device.max_work_group_size
-        self.group = (self.shape[2], 1, 1) if stripe_fits or kernel == "coalesced" else None
+        self.group = self._work_group(kernel)
 
         self.omega = self._buffer(19 * 19 * 4)
         self.states = [self._buffer(4 * self._state_size()) for _ in range(2)]
@@ -77,6 +75,17 @@ class PaperLattice:
     def read(self):
         """(light, light one step before), each (19, nx, ny, nz) float32."""
         return tuple(self._to_host(state) for state in self.states)
+
+    def _work_group(self, kernel):
+        """The paper's: a stripe along DEPTH; left to the driver where one is too long for it."""
+        if self.shape[2] <= self.queue.device.max_work_group_size:
+            return (self.shape[2], 1, 1)
+        if kernel == "coalesced":
+            raise DeviceError(
+                f"The coalesced kernel takes {self.queue.device.max_work_group_size} voxels along "
+                f"z at most on this device, not {self.shape[2]}; use the final kernel."
+            )
+        return None
 
     def _state_size(self):
         return 19 * int(np.prod(self.shape)) + (1 if self.naive else 0)  # 1: the sink

@@ -11,9 +11,9 @@ from mathutils import Vector
 
 from . import assets
 
-SUN = (0.55, 0.1, -0.83)  # the way the light travels: from the upper left of the pictures
+SUN = (0.65, 0.1, -0.75)  # the way the light travels: from the upper left of the pictures
 SUN_IRRADIANCE = 4.0  # W/m^2
-SKY = (0.035, 0.055, 0.09)  # radiance, W/(m^2 sr)
+SKY = (0.02, 0.035, 0.065)  # radiance, W/(m^2 sr)
 
 
 def cloud():
@@ -29,16 +29,16 @@ def cloud():
     output, volume = (
         nodes.new(kind) for kind in ("ShaderNodeOutputMaterial", "ShaderNodeVolumePrincipled")
     )
-    # The paper's sigma_t of 0.8 is the share that collides in a voxel, here of 2 m / 96.
-    extinction = -np.log(1 - 0.8) / (2 / 96)
+    # The paper's sigma_t of 0.8 is the share that collides in a voxel, here of 2 m / 128.
+    extinction = -np.log(1 - 0.8) / (2 / 128)
     volume.inputs["Density"].default_value = extinction
     volume.inputs["Color"].default_value = (0.99, 0.99, 0.99, 1)
     volume.inputs["Absorption Color"].default_value = (0, 0, 0, 1)
     volume.inputs["Anisotropy"].default_value = 0.9
     material.node_tree.links.new(volume.outputs["Volume"], output.inputs["Volume"])
     data.materials.append(material)
-    surroundings(target=(0, 0, 0), distance=4.4, height=-0.6)
-    return ["Cloud"], {"resolution": 96}
+    surroundings(target=(0, 0, 0), distance=3.9, height=-0.5)
+    return ["Cloud"], {"resolution": 128}
 
 
 def plant():

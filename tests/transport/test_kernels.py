@@ -84,3 +84,15 @@ def test_too_large_a_grid_is_refused_before_allocation():
     assert device.require_memory(small, at(largest), plan) <= small.memory
     with pytest.raises(DeviceError):
         device.require_memory(small, at(largest + 1), plan)
+
+
+@pytest.mark.parametrize("found", OPENCL, ids=lambda found: found.platform.split(",")[0])
+def test_stripes_too_long_for_the_device(found):
+    """The final kernel copes with them; the coalesced one, which needs them whole, says so."""
+    longest = device.queue(found).device.max_work_group_size
+    medium = random_medium((3, 3, longest + 8))
+    field = solve(medium, [Sky(1)], Settings(steps=3), device=found.label)
+    expected = solve(medium, [Sky(1)], Settings(steps=3), device="NumPy")
+    assert relative(field.fluence, expected.fluence) <= 1e-5
+    with pytest.raises(DeviceError, match="use the final kernel"):
+        solve(medium, [Sky(1)], Settings(steps=3, kernel="coalesced"), device=found.label)
