@@ -12,8 +12,32 @@ else:
         bpy.utils.expose_bundled_modules()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def registered():
+    """The extension as Blender has it when it is enabled."""
+    if bpy is None:
+        yield
+        return
+    import lb_lighting
+
+    lb_lighting.register()
+    yield
+    lb_lighting.unregister()
+
+
 @pytest.fixture(autouse=True)
 def empty_file():
     """An empty file without a world; the names of a previous test are gone."""
     if bpy is not None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A sun, and settings that bake within a second, with the files in `tmp_path`."""
+    from tests import scenery
+
+    scenery.add_sun()
+    settings = bpy.context.scene.lb_lighting
+    settings.resolution, settings.device, settings.folder = 16, "NumPy", str(tmp_path)
+    return bpy.context.scene

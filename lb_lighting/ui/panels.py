@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..bake import FROM_MATERIAL
+from ..scene.sources import FROM_MATERIAL, SURFACE_TYPES
 from .operators import LB_OT_bake, LB_OT_clear
 
 
@@ -20,26 +20,30 @@ class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
         layout.use_property_decorate = False
 
         column = layout.column()
-        column.prop(settings, "domain")
+        column.prop(settings, "domain", placeholder="The selection's")
         column.prop(settings, "resolution")
         column.prop(settings, "padding")
 
+        layout.separator()
         column = layout.column()
         column.prop(settings, "medium")
         depth = column.row()
         depth.active = settings.medium != FROM_MATERIAL
         depth.prop(settings, "optical_depth")
-        column.prop(settings, "grid")
+        column.prop(settings, "grid", placeholder="The material's")
+        ob = context.object
+        if ob is not None and ob.type in SURFACE_TYPES:
+            column.prop(ob.lb_lighting, "role")
         column.prop(settings, "keep_absorbed")
-        if context.object is not None:
-            column.prop(context.object.lb_lighting, "role")
 
+        layout.separator()
         column = layout.column()
         column.prop(settings, "mode")
         column.prop(settings, "strength")
-        column.prop(settings, "folder")
-        column.prop(settings, "device", icon="MEMORY")
+        column.prop(settings, "folder", placeholder="The .blend's")
+        column.prop(settings, "device", placeholder="The best")
 
+        layout.separator()
         row = layout.row(align=True)
         row.scale_y = 1.4
         row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")

@@ -4,45 +4,14 @@
 The fixture `lb` is the package under test.
 """
 
-import importlib
-
 import bpy
 import numpy as np
 import pytest
+from scenes import center_of_mass, part, smoke
 
-FRAMES = 6
 SOURCE = np.array((1.4, 2.1, 2.0))  # m, the middle of the ball that smokes
 RADIUS = 0.3  # m
 COLOR = (1.0, 0.5, 0.25)
-
-
-def part(lb, name):
-    return importlib.import_module(f"{lb.__name__}.{name}")
-
-
-def simulate(folder, flow_type="SMOKE", frames=FRAMES, **settings):
-    """A turned and stretched domain with a smoking ball in it, after a few frames; the domain."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.mesh.primitive_cube_add(size=2, location=(1, 2, 3), rotation=(0, 0, 0.5))
-    domain = bpy.context.object
-    domain.scale = (1, 1, 1.5)
-    modifier = domain.modifiers.new("smoke", "FLUID")
-    modifier.fluid_type = "DOMAIN"
-    options = modifier.domain_settings
-    options.domain_type, options.resolution_max = "GAS", 32
-    options.cache_directory = str(folder)
-    for name, value in settings.items():
-        setattr(options, name, value)
-    bpy.ops.mesh.primitive_uv_sphere_add(radius=RADIUS, location=SOURCE)
-    modifier = bpy.context.object.modifiers.new("smoke", "FLUID")
-    modifier.fluid_type = "FLOW"
-    modifier.flow_settings.flow_type = flow_type
-    modifier.flow_settings.flow_behavior = "INFLOW"
-    modifier.flow_settings.smoke_color = COLOR
-    for frame in range(1, frames + 1):
-        bpy.context.scene.frame_set(frame)
-        bpy.context.evaluated_depsgraph_get()
-    return domain
 
 
 def lattice(lb, ob, resolution=48):
@@ -54,16 +23,12 @@ def read(lb, ob, domain):
     return part(lb, "scene.smoke").smoke_grids(ob, bpy.context.evaluated_depsgraph_get(), domain)
 
 
-def center_of_mass(density, domain):
-    return np.einsum("xyz,xyzi->i", density, domain.centers()) / density.sum()
-
-
 @pytest.mark.parametrize("settings", [{}, {"use_adaptive_domain": True}, {"use_noise": True}])
 def test_smoke_is_where_its_source_is(lb, tmp_path, settings):
-    ob = simulate(tmp_path, **settings)
+    ob = smoke(tmp_path, **settings)
     domain = lattice(lb, ob)
     density = read(lb, ob, domain)["density"]
-    center = center_of_mass(density, domain)
+    center = center_of_mass(density, domain.centers())
     assert density.max() > 0.5
     # Fresh smoke fills the ball, and has only begun to rise.
     assert np.abs(center - SOURCE)[:2].max() < 0.3 * domain.voxel_size
@@ -71,7 +36,7 @@ def test_smoke_is_where_its_source_is(lb, tmp_path, settings):
 
 
 def test_mass_does_not_depend_on_the_lattice(lb, tmp_path):
-    ob = simulate(tmp_path)
+    ob = smoke(tmp_path)
     domains = [lattice(lb, ob, n) for n in (20, 32, 80)]
     masses = [read(lb, ob, d)["density"].sum() * d.voxel_size**3 for d in domains]
     options = part(lb, "scene.smoke").find_domain_settings(
@@ -84,7 +49,7 @@ def test_mass_does_not_depend_on_the_lattice(lb, tmp_path):
 
 
 def test_smoke_without_fire(lb, tmp_path):
-    ob = simulate(tmp_path)
+    ob = smoke(tmp_path)
     grids = read(lb, ob, domain := lattice(lb, ob))
     assert not grids.get("flame", np.zeros(1)).any()
     dense = grids["density"] > 0.5
@@ -95,25 +60,28 @@ def test_smoke_without_fire(lb, tmp_path):
 
 
 def test_fire(lb, tmp_path):
-    ob = simulate(tmp_path, flow_type="BOTH")
+    ob = smoke(tmp_path, flow_type="BOTH")
     domain = lattice(lb, ob)
     grids = read(lb, ob, domain)
     assert set(grids) == {"density", "flame", "temperature", "color"}
     assert grids["flame"].max() > 0.5
-    assert np.abs(center_of_mass(grids["flame"], domain) - SOURCE)[:2].max() < domain.voxel_size
+    assert (
+        np.abs(center_of_mass(grids["flame"], domain.centers()) - SOURCE)[:2].max()
+        < domain.voxel_size
+    )
 
 
 def test_not_simulated_yet(lb, tmp_path):
-    ob = simulate(tmp_path, cache_type="ALL")
+    ob = smoke(tmp_path, cache_type="ALL")
     with pytest.raises(part(lb, "errors").SceneError, match="no smoke"):
         lattice(lb, ob)
 
 
 def test_liquid_and_plain_objects_are_refused(lb, tmp_path):
-    smoke, scene_error = part(lb, "scene.smoke"), part(lb, "errors").SceneError
-    ob = simulate(tmp_path, frames=0)
+    scene_error = part(lb, "errors").SceneError
+    ob = smoke(tmp_path, frames=0)
     ob.modifiers[0].domain_settings.domain_type = "LIQUID"
     bpy.ops.mesh.primitive_cube_add()
     for refused in (ob, bpy.context.object):
         with pytest.raises(scene_error, match="not a gas domain"):
-            smoke.world_bounds(refused, bpy.context.evaluated_depsgraph_get())
+            part(lb, "scene.smoke").world_bounds(refused, bpy.context.evaluated_depsgraph_get())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run in a windowed Blender: open our tab of the 3D view's sidebar, take a picture of it, quit."""
+"""Run in a windowed Blender: bake a cloud, open our tab of the sidebar, take a picture, quit."""
 
 import os
 import subprocess
@@ -10,7 +10,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-SCREENSHOT = Path(__file__).resolve().parents[2] / "build" / "screens" / "sidebar.png"
+sys.path.append(str(Path(__file__).parent))
+
+from scenes import SCREENS, sun, volume_material, volume_object, write_ball
+
+SCREENSHOT = SCREENS / "sidebar.png"
 TAB = "LB"
 REDRAW = 3.0  # s between steps: software rendering draws a window in about one
 
@@ -19,6 +23,19 @@ def view():
     """The area of the 3D view."""
     screen = bpy.context.window_manager.windows[0].screen
     return next(area for area in screen.areas if area.type == "VIEW_3D")
+
+
+def bake():
+    """A cloud takes the place of the default cube, and is lit."""
+    bpy.data.batch_remove([bpy.data.objects["Cube"], bpy.data.objects["Light"]])
+    folder = Path(bpy.app.tempdir)
+    write_ball(folder / "ball.vdb", center=(0, 0, 0), radius=0.9)
+    cloud = volume_object(folder / "ball.vdb", volume_material(density=5.0))
+    sun((-0.5, 0, -1))
+    bpy.context.view_layer.objects.active = cloud
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=view()):
+        assert bpy.ops.lb_lighting.bake("EXEC_DEFAULT", True) == {"FINISHED"}
+        assert bpy.data.objects["LB Cloud"].data.grids.load()
 
 
 def open_sidebar():
@@ -46,7 +63,7 @@ def check_picture():
     assert colours > 20, f"The screenshot is blank: it has {colours} colours."
 
 
-STEPS = iter([open_sidebar, choose_tab, take_picture, check_picture])
+STEPS = iter([bake, open_sidebar, choose_tab, take_picture, check_picture])
 
 
 def next_step():

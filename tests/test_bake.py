@@ -1,0 +1,461 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The street from end to end: every kind of source, baked, baked again, and taken out."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting import bake, job
+from lb_lighting.errors import (
+    DeviceError,
+    LightError,
+    MediumError,
+    OutputError,
+    SceneError,
+    SettingsError,
+)
+from lb_lighting.output.volume import DENSITY_GRID, baked_volumes, read_metadata
+from tests import scenery
+from tests.output import rendering
+from tests.scenery import ambient, bake_light, read_grid, snapshot
+
+TOP, BOTTOM = np.s_[..., -1], np.s_[..., 0]
+
+
+def baked():
+    """The one baked Volume object of the scene."""
+    (ob,) = baked_volumes(bpy.context.scene)
+    return ob
+
+
+def shader(ob):
+    """The inputs of the node group that shows a baked volume."""
+    nodes = ob.active_material.node_tree.nodes
+    return next(node for node in nodes if node.type == "GROUP").inputs
+
+
+def light_by_height(outcome):
+    """(nz - 2 padding,): the mean fluence of the layers of the domain, from below."""
+    return outcome.field.fluence[0].mean(axis=(0, 1))[2:-2]
+
+
+class TestVolume:
+    def test_material_is_read_and_light_falls_off_away_from_the_sun(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        outcome = bake_light(ob)
+        assert outcome.path.parent == tmp_path
+        light = light_by_height(outcome)
+        assert light[-1] > 1.2 * light[0]
+        assert shader(baked())["Sigma S"].default_value[:] == pytest.approx((3.6,) * 3)
+        assert shader(baked())["Sigma A"].default_value[0] == pytest.approx(0.4)
+
+    def test_preset_has_the_optical_depth_asked_for(self, scene, tmp_path):
+        bake_light(scenery.add_fog(tmp_path), medium="cloud", optical_depth=10, padding=1)
+        sigma = [shader(baked())[name].default_value[0] for name in ("Sigma S", "Sigma A")]
+        longest = 2 * 16 / 14  # m, of the domain
+        assert sum(sigma) * longest == pytest.approx(10)
+        assert sigma[0] / sum(sigma) == pytest.approx(0.99)
+
+    def test_a_missing_material_is_told(self, scene, tmp_path):
+        outcome = bake_light(scenery.add_fog(tmp_path, material=False))
+        assert "'fog' has no volume material; the preset stands in." in outcome.notes
+
+    def test_grey_is_one_band(self, scene, tmp_path):
+        outcome = bake_light(scenery.add_fog(tmp_path))
+        assert outcome.field.fluence.shape == (1, 16, 16, 16)
+        light, _first = read_grid(outcome.path)
+        assert np.array_equal(light[..., 0], light[..., 1])
+        assert np.array_equal(light[..., 0], light[..., 2])
+
+    def test_a_coloured_sun_colours_grey_fog_and_is_solved_once(self, scene, tmp_path):
+        bpy.data.lights["sun"].color = (1, 0.5, 0)
+        field = bake_light(scenery.add_fog(tmp_path)).field
+        assert field.report.runs == 1
+        assert field.fluence[1] == pytest.approx(field.fluence[0] / 2, rel=1e-6)
+        assert not field.fluence[2].any()
+
+    def test_coloured_fog_colours_white_light(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.data.materials[0] = scenery.volume_material(color=(0.9, 0.5, 0.1))
+        means = bake_light(ob).field.fluence.mean(axis=(1, 2, 3))
+        assert means[0] > means[1] > means[2]
+
+    def test_file_is_aligned_with_its_source(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.location, ob.rotation_euler, ob.scale = (3, -2, 1), (0.3, 0.2, 0.5), (1, 0.5, 0.7)
+        outcome = bake_light(ob)
+        density, first = read_grid(outcome.path, DENSITY_GRID)
+        domain = outcome.field.domain
+        weights = density / density.sum()
+        indices = np.stack(np.indices(density.shape), axis=-1) + first
+        center = domain.origin + (np.einsum("xyz,xyzi->i", weights, indices) + 0.5) * (
+            domain.voxel_size
+        )
+        assert np.abs(center - ob.location).max() < 0.1 * domain.voxel_size
+        assert baked().matrix_world.translation[:] == (0, 0, 0)
+
+    def test_metadata_tells_the_settings(self, scene, tmp_path):
+        told = read_metadata(bake_light(scenery.add_fog(tmp_path), strength=0.5).path)
+        assert told["resolution"] == 16
+        assert told["strength"] == 0.5
+        assert told["model"] == "paper"
+        assert told["device"] == "NumPy (no OpenCL)"
+
+    def test_coefficients_per_unit_of_object_space(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        world = bake_light(ob).field
+        ob.scale = (2, 2, 2)
+        ob.data.render.space = "OBJECT"
+        # Twice as large and half as dense: the same light.
+        assert bake_light(ob).field.fluence == pytest.approx(world.fluence, rel=1e-5)
+        ob.data.render.space = "WORLD"
+        assert bake_light(ob).field.fluence[0][:, :, 2].mean() < world.fluence[0][:, :, 2].mean()
+
+    def test_domain_object_gives_the_bounds(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        box = scenery.add_ball("box", radius=1)
+        box.scale, box.location = (2, 2, 2), (1, 0, 0)
+        scene.lb_lighting.domain = box
+        domain = bake_light(ob).field.domain
+        assert np.add(domain.origin, domain.upper) / 2 == pytest.approx((1, 0, 0), abs=1e-5)
+        assert domain.voxel_size == pytest.approx(4 / 12)
+
+
+class TestMeshes:
+    def test_leaves_get_their_light_and_show_it(self, scene, tmp_path):
+        ob = scenery.add_leaves()
+        bake_light(ob)
+        light = ambient(ob)
+        z = np.array([vertex.co.z for vertex in ob.data.vertices])
+        assert light.min() > 0
+        assert light[z > 0.5].mean() > light[z < -0.5].mean()
+        assert light[:, 1].mean() > light[:, 0].mean()  # leaves are green
+        assert any(node.type == "GROUP" for node in ob.active_material.node_tree.nodes)
+        assert baked().hide_render
+
+    def test_plant_preset(self, scene):
+        ob = scenery.add_leaves()
+        bake_light(ob, medium="plant")
+        assert ambient(ob)[:, 1].mean() > ambient(ob)[:, 0].mean()
+
+    def test_solid_gets_its_light(self, scene):
+        ob = scenery.add_ball(role="SOLID", material=scenery.leaf_material())
+        outcome = bake_light(ob, medium="pmma")
+        mass = read_grid(outcome.path, DENSITY_GRID)[0].sum() * outcome.field.domain.voxel_size**3
+        assert mass == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.05)
+        light = ambient(ob)
+        z = np.array([vertex.co.z for vertex in ob.data.vertices])
+        assert light[z > 0.6].mean() > light[z < -0.6].mean()
+
+    def test_occluder_shades_what_is_below(self, scene, tmp_path):
+        fog = scenery.add_fog(tmp_path)
+        lid = scenery.add_ball(role="OCCLUDER", radius=1)
+        lid.location, lid.scale = (0, 0, 1.3), (1, 1, 0.2)
+        free = bake_light(fog, domain="fog").field.fluence[0]
+        shaded = bake_light(fog, lid, domain="fog").field.fluence[0]
+        middle = np.s_[7:9, 7:9, 3]
+        assert shaded[middle].mean() < 0.5 * free[middle].mean()
+
+    def test_collection_instance(self, scene):
+        leaves = scenery.add_leaves()
+        collection = bpy.data.collections.new("tree")
+        scene.collection.objects.unlink(leaves)
+        collection.objects.link(leaves)
+        instance = scenery.link("instance", None)
+        instance.instance_type, instance.instance_collection = "COLLECTION", collection
+        instance.location = (5, 0, 0)
+        outcome = bake_light(instance)
+        domain = outcome.field.domain
+        assert np.add(domain.origin, domain.upper) / 2 == pytest.approx((5, 0, 0), abs=0.1)
+        assert any("'instance'" in note for note in outcome.notes)
+
+    def test_a_mesh_without_a_surface_is_replaced_as_a_volume_is(self, scene):
+        ob = scenery.add_ball(material=scenery.volume_material())
+        bake_light(ob)
+        assert ob.hide_render
+        assert not baked().hide_render
+
+
+class TestSeveral:
+    def test_each_is_lit_and_the_render_shows_volumes_only_as_volume(self, scene, tmp_path):
+        fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
+        fog.location = (3, 0, 0)
+        outcome = bake_light(fog, leaves)
+        assert ambient(leaves).min() > 0
+        _density, first = read_grid(outcome.path, DENSITY_GRID)
+        domain = outcome.field.domain
+        left = domain.origin[0] + (first[0] - 0.5) * domain.voxel_size
+        assert left > 1.5  # no fog where the leaves are
+        assert shader(baked())["Sigma S"].default_value[:] == pytest.approx((3.6,) * 3)
+
+    def test_two_volumes_are_replaced_by_one(self, scene, tmp_path):
+        fogs = [scenery.add_fog(tmp_path, name=name) for name in ("a", "b")]
+        fogs[1].location = (3, 0, 0)
+        bake_light(*fogs)
+        assert [fog.hide_render for fog in fogs] == [True, True]
+        assert not baked().hide_render
+
+
+class TestAgain:
+    def test_the_same_light_from_the_hidden_source_and_from_the_baked_volume(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        first = bake_light(ob)
+        assert ob.hide_viewport
+        second = bake_light(ob)
+        third = bake_light(baked())
+        assert second.path != first.path
+        for again in (second, third):
+            assert np.array_equal(again.field.fluence, first.field.fluence)
+        assert Path(bpy.path.abspath(baked().data.filepath)) == third.path
+
+    def test_lit_materials_do_not_light_themselves(self, scene):
+        ob = scenery.add_leaves()
+        bake_light(ob)
+        light = ambient(ob)
+        bake_light(ob)
+        assert np.array_equal(ambient(ob), light)
+        assert sum(node.type == "GROUP" for node in ob.active_material.node_tree.nodes) == 1
+
+    def test_a_filled_mesh_keeps_its_medium(self, scene):
+        ob = scenery.add_ball(material=scenery.volume_material())
+        first = bake_light(ob)
+        assert np.array_equal(bake_light(ob).field.fluence, first.field.fluence)
+
+    def test_from_replace_to_add_and_back(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        for mode, hidden in (("REPLACE", True), ("ADD", False), ("REPLACE", True)):
+            bake_light(ob, mode=mode)
+            assert (ob.hide_render, ob.hide_viewport) == (hidden, hidden)
+            assert shader(baked())["Replace"].default_value == hidden
+
+    def test_the_baked_volume_is_selected_in_place_of_its_source(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        scenery.select(ob)
+        bake_light(*bpy.context.selected_objects)
+        assert bpy.context.selected_objects == [baked()]
+
+
+class TestClear:
+    @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+    @pytest.mark.parametrize("bakes", [1, 2])
+    def test_the_file_is_as_it_was(self, scene, tmp_path, mode, bakes):
+        sources = [
+            scenery.add_fog(tmp_path),
+            scenery.add_leaves(),
+            scenery.add_leaves("bare", material=False),
+            scenery.add_ball(role="SOLID", material=scenery.leaf_material()),
+            scenery.add_ball("filled", material=scenery.volume_material()),
+        ]
+        scenery.select(*sources)
+        before = snapshot()
+        for _ in range(bakes):
+            bake_light(*sources, mode=mode)
+        assert snapshot() != before
+        assert bake.clear(bpy.context) == 6  # the baked volume too
+        assert snapshot() == before
+
+    def test_nothing_of_the_users_own_is_taken(self, scene, tmp_path):
+        fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
+        fog.hide_render = True
+        scene.cycles.volume_biased = True
+        leaves.data.color_attributes.new("painted", "BYTE_COLOR", "CORNER")
+        before = snapshot()
+        bake_light(fog, leaves)
+        bake.clear(bpy.context)
+        assert snapshot() == before
+
+    @pytest.mark.parametrize("delete", [True, False])
+    def test_files_are_deleted_only_when_asked(self, scene, tmp_path, delete):
+        fog = scenery.add_fog(tmp_path)
+        path = bake_light(fog).path
+        bake.clear(bpy.context, delete_files=delete)
+        assert path.exists() != delete
+        assert Path(fog.data.filepath).exists()
+
+    def test_nothing_to_clear(self, scene):
+        before = snapshot()
+        assert bake.clear(bpy.context) == 0
+        assert snapshot() == before
+
+
+class TestRendered:
+    @pytest.fixture
+    def picture(self, tmp_path):
+        """A function that renders the scene from the side: (16, 16) linear radiance."""
+        rendering.dark_scene((0, -5, 0), (np.pi / 2, 0, 0), 2.4)
+
+        def render():
+            path = tmp_path / "picture.exr"
+            return rendering.render(bpy.context.scene, path, 16, 4).mean(axis=2)
+
+        return render
+
+    @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+    def test_a_cloud_is_brighter_on_the_side_of_the_sun(self, scene, tmp_path, picture, mode):
+        bake_light(scenery.add_fog(tmp_path), mode=mode)
+        bpy.data.objects["sun"].hide_render = True  # what is left is the baked light
+        light = picture()
+        below, above = light[3:8, 4:12].mean(), light[8:13, 4:12].mean()
+        assert below > 0.01
+        assert above > 1.1 * below
+
+    def test_leaves_glow_in_baked_light_alone(self, scene, picture):
+        ob = scenery.add_leaves()
+        bake_light(ob)
+        bpy.data.objects["sun"].hide_render = True
+        assert picture().mean() > 0.01
+
+    def test_a_filled_mesh_is_seen(self, scene, picture):
+        bake_light(scenery.add_ball(material=scenery.volume_material()))
+        bpy.data.objects["sun"].hide_render = True
+        assert picture()[6:10, 6:10].min() > 0.01
+
+
+def missing_file(folder):
+    ob = scenery.add_fog(folder)
+    ob.data.filepath = str(folder / "nowhere.vdb")
+    return [ob]
+
+
+def mesh_without_faces(_folder):
+    return [scenery.link("points", bpy.data.meshes.new("points"))]
+
+
+def linked(folder):
+    """Leaves whose mesh and material are another file's."""
+    path = str(folder / "library.blend")
+    mesh = bpy.data.meshes.new("twig")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 1)], [], [(0, 1, 2)])
+    mesh.materials.append(scenery.leaf_material())
+    bpy.data.libraries.write(path, {mesh})
+    bpy.data.batch_remove([mesh, mesh.materials[0]])
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.meshes = there.meshes
+    return [scenery.link("twig", here.meshes[0])]
+
+
+def linked_material(folder):
+    ob = linked(folder)[0]
+    ob.data = ob.data.copy()
+    return [ob]
+
+
+def noise(value):
+    def make(folder):
+        values = scenery.ball()
+        values[3, 3, 3] = value
+        return [scenery.add_fog(folder, values)]
+
+    return make
+
+
+def fog(folder):
+    return [scenery.add_fog(folder)]
+
+
+BAD_SOURCES = {
+    "nothing": (lambda folder: [], {}, SceneError, "Nothing is selected; "),
+    "empty": (
+        lambda folder: [scenery.link("none", None)],
+        {},
+        SceneError,
+        "'none' has neither a volume nor faces; ",
+    ),
+    "camera": (
+        lambda folder: [scenery.link("eye", bpy.data.cameras.new("eye"))],
+        {},
+        SceneError,
+        "'eye' has neither a volume nor faces; ",
+    ),
+    "no faces": (mesh_without_faces, {}, SceneError, "'points' has neither a volume nor faces; "),
+    "missing file": (missing_file, {}, SceneError, "nowhere.vdb' of 'fog' cannot be read"),
+    "no such grid": (
+        fog,
+        {"grid": "smoke"},
+        SceneError,
+        "'fog' has no grid 'smoke'; choose one of: density",
+    ),
+    "NaN": (noise(np.nan), {}, SceneError, "'density' has 1 voxels that are negative or not"),
+    "infinite": (noise(np.inf), {}, SceneError, "'density' has 1 voxels that are negative or not"),
+    "negative": (noise(-1), {}, SceneError, "'density' has 1 voxels that are negative or not"),
+    "no density": (
+        lambda folder: [scenery.add_ball(role="OCCLUDER")],
+        {},
+        SceneError,
+        "There is no density to light here; ",
+    ),
+    "linked mesh": (linked, {}, OutputError, "The mesh of twig is linked from another file; "),
+    "linked material": (
+        linked_material,
+        {},
+        OutputError,
+        "The material leaf is linked from another file; ",
+    ),
+    "missing folder": (
+        fog,
+        {"folder": "nowhere"},
+        OutputError,
+        "nowhere does not exist; choose another or make it.",
+    ),
+    "unknown medium": (fog, {"medium": "milk"}, SettingsError, "There is no medium called 'milk'"),
+    "unknown mode": (fog, {"mode": "MULTIPLY"}, SettingsError, "There is no mode called"),
+    "unknown domain": (fog, {"domain": "box"}, SettingsError, "There is no object 'box' to light"),
+    "no padding": (fog, {"padding": 0}, SettingsError, "The padding must be 1 voxel or more"),
+    "no depth": (fog, {"optical_depth": 0}, SettingsError, "The optical depth must be positive"),
+}
+
+
+class TestBadInput:
+    """One sentence, the scene as it was, and no file."""
+
+    def refused(self, objects, error, sentence, **changes):
+        before = snapshot()
+        files = set(Path(bpy.context.scene.lb_lighting.folder).iterdir())
+        with pytest.raises(error) as caught:
+            bake_light(*objects, **changes)
+        assert sentence in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert snapshot() == before
+        assert set(Path(bpy.context.scene.lb_lighting.folder).iterdir()) == files
+
+    @pytest.mark.parametrize("name", BAD_SOURCES)
+    def test_is_refused_before_the_solve(self, scene, tmp_path, name, monkeypatch):
+        monkeypatch.delattr(job, "solve")
+        make, changes, error, sentence = BAD_SOURCES[name]
+        self.refused(make(tmp_path), error, sentence, **changes)
+
+    def test_no_light(self, scene, tmp_path):
+        bpy.data.lights["sun"].energy = 0
+        self.refused(fog(tmp_path), LightError, "The scene has no light; add a sun")
+
+    def test_resolution_of_nothing(self, scene, tmp_path):
+        sentence = "A resolution of 0 voxels is too low; use 7 or more."
+        self.refused(fog(tmp_path), MediumError, sentence, resolution=0)
+
+    def test_too_fine_for_the_memory(self, scene, tmp_path):
+        sentence = "the largest resolution that fits is "
+        self.refused(fog(tmp_path), DeviceError, sentence, resolution=20_000)
+
+    def test_unknown_device(self, scene, tmp_path):
+        sentence = "There is no device called 'abacus'; choose one of: "
+        self.refused(fog(tmp_path), DeviceError, sentence, device="abacus")
+
+    def test_edit_mode(self, scene):
+        ob = scenery.add_leaves()
+        bpy.context.view_layer.objects.active = ob
+        bpy.ops.object.mode_set(mode="EDIT")
+        with pytest.raises(OutputError, match="leaves is in Edit Mode; leave it"):
+            bake_light(ob)
+
+    @pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
+    def test_read_only_folder(self, scene):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            objects = fog(folder)
+            scene.lb_lighting.folder = str(folder)
+            with scenery.read_only(folder):
+                self.refused(objects, OutputError, "choose a folder that is writable")
