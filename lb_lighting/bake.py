@@ -58,7 +58,6 @@ class Options:
         """The scene's own, with `changes` where they are not None."""
         values = {f.name: getattr(scene.lb_lighting, f.name) for f in fields(cls)}
         values["domain"] = values["domain"].name if values["domain"] else ""
-        values["folder"] = bpy.path.abspath(values["folder"])
         return cls(**values | {name: v for name, v in changes.items() if v is not None})
 
 
@@ -67,12 +66,15 @@ class Problem:
     """A scene as the solver sees it.
 
     medium    in SI units
+    shown     (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone,
+              where there are any, for surfaces show their light themselves
     lights    transport lights
     sources   what it came from, see scene/sources.py
     notes     sentences that the user should read
     """
 
     medium: Medium
+    shown: tuple
     lights: list
     sources: list
     notes: list = field(default_factory=list)
@@ -103,6 +105,8 @@ def bake(context, objects, options, progress=None):
     progress  called as progress(stage, fraction)
     Returns an `Outcome`. Raises a LightingError, and then the scene is as it was.
     """
+    objects = sources_of(context.scene, objects)
+    _refuse_unwritable(objects, options)
     problem = gather(context, objects, options)
     settings = Settings(keep_absorbed=options.keep_absorbed)
     medium = paper_units(problem.medium)
@@ -116,14 +120,17 @@ def bake(context, objects, options, progress=None):
 
 def gather(context, objects, options):
     """The `Problem` that the scene poses at the current frame."""
-    with _shown(context, objects := sources_of(context.scene, objects)):
+    with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(depsgraph, options.medium, options.optical_depth, options.grid)
         sources = open_sources(objects, reader)
         domain = _domain(context, sources, options)
-        density, optics = mixture([s for source in sources for s in source.shares(domain)])
+        job.require_memory(domain.shape, options.device)
+        shares = {source: source.shares(domain) for source in sources}
         occlusions = [o for source in sources if (o := source.occlusion(domain)) is not None]
         lights = scene_lights(context.scene, depsgraph)
+    density, optics = mixture([share for own in shares.values() for share in own])
+    volumes = [share for source, own in shares.items() for share in own if source.is_volume]
     medium = Medium(
         density,
         domain.voxel_size,
@@ -132,40 +139,44 @@ def gather(context, objects, options):
         domain.origin,
         occlusion=np.max(occlusions, axis=0) if occlusions else None,
     )
-    return Problem(medium, lights, sources, reader.notes)
+    shown = mixture(volumes) if volumes else (density, optics)
+    return Problem(medium, shown, lights, sources, reader.notes)
 
 
 def apply(context, problem, result, options):
     """Write the result to disk, then into the scene."""
-    surfaces = [s.ob for s in problem.sources if not s.is_volume and s.ob.type == "MESH"]
-    attribute.refuse_unwritable(surfaces)
-    shading.refuse_unwritable(surfaces)
+    surfaces = [source.ob for source in problem.sources if not source.is_volume]
+    meshes = [ob for ob in surfaces if ob.type == "MESH"]
     light = result.mean_radiance()
     name = problem.sources[0].ob.name
     path = volume.fresh_path(_folder(options), name)
-    volume.write_vdb(path, result.domain, problem.medium.density, light, _stamp(result, options))
+    volume.write_vdb(path, result.domain, problem.shown[0], light, _stamp(result, options))
 
     _show_volume(context, problem, path, name, options)
     depsgraph = context.evaluated_depsgraph_get()
-    attribute.write_ambient(surfaces, depsgraph, result.domain, light)
-    for ob in surfaces:
+    attribute.write_ambient(meshes, depsgraph, result.domain, light)
+    for ob in meshes:
         shading.light_surface(ob, _albedo, options.strength)
-    return Outcome(result, path, problem.notes)
+    unlit = [
+        f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
+        "convert it to a mesh."
+        for ob in surfaces
+        if ob not in meshes
+    ]
+    return Outcome(result, path, problem.notes + unlit)
 
 
 def clear(context, delete_files=False):
     """Take everything that bakes made out of the scene, and give back what they changed.
 
     delete_files  delete the .vdb files of the baked volumes too
-    Returns the number of objects that were lit.
+    Returns the number of objects that were changed or removed.
     """
     scene = context.scene
     baked = volume.baked_volumes(scene)
+    _show_sources(context, baked)
     count = 0
     for ob in scene.objects:
-        if ob in baked:
-            continue
-        shading.show_source(ob)
         if ob.type == "MESH" and attribute.AMBIENT_ATTRIBUTE in ob.data.attributes:
             attribute.remove_ambient(ob)
             shading.unlight_surface(ob)
@@ -178,14 +189,36 @@ def clear(context, delete_files=False):
     return count
 
 
+def _show_sources(context, baked):
+    """Give back what bakes hid, and selected where the baked volume was."""
+    selected = any(ob.select_get() for ob in baked)
+    for ob in context.scene.objects:
+        was_hidden = ob.hide_viewport
+        shading.show_source(ob)
+        shown = was_hidden and not ob.hide_viewport
+        if selected and shown and ob.name in context.view_layer.objects:
+            ob.select_set(True)
+
+
 def sources_of(scene, objects):
     """`objects` with each baked volume replaced by the object whose light it shows."""
     found = [volume.source_of(scene, ob) or ob for ob in objects]
     return list(dict.fromkeys(found))
 
 
+def _refuse_unwritable(objects, options):
+    """Raise OutputError, before any work, for what could not take its light afterwards."""
+    for ob in objects:
+        if not ob.is_editable:
+            raise OutputError(f"'{ob.name}' is linked from another file; make it local.")
+    meshes = [ob for ob in objects if ob.type == "MESH"]
+    attribute.refuse_unwritable(meshes)
+    shading.refuse_unwritable(meshes)
+    volume.require_writable(_folder(options))
+
+
 @contextmanager
-def _shown(context, objects):
+def _unhidden(context, objects):
     """Objects that a bake hid are evaluated only while they are shown."""
     hidden = [ob for ob in objects if ob.hide_viewport]
     for ob in hidden:
@@ -231,10 +264,9 @@ def _albedo(material):
 
 
 def _folder(options):
-    folder = Path(options.folder) if options.folder else volume.default_folder()
-    if not folder.is_dir():
-        raise OutputError(f"The folder {folder} does not exist; choose another or make it.")
-    return folder
+    if not options.folder:
+        return volume.default_folder()
+    return Path(bpy.path.abspath(options.folder)).absolute()
 
 
 def _stamp(result, options):
@@ -247,14 +279,17 @@ def _stamp(result, options):
 def _show_volume(context, problem, path, name, options):
     """A Volume object for the file; it renders only where it stands for volumes."""
     ob = volume.show_volume(context, name, path)
-    medium, volumes = problem.medium, [s.ob for s in problem.sources if s.is_volume]
-    shading.shade_volume(ob, options.mode, medium.sigma_s, medium.sigma_a, options.strength)
+    volumes = any(source.is_volume for source in problem.sources)
+    _density, optics = problem.shown
+    shading.shade_volume(ob, options.mode, optics.sigma_s, optics.sigma_a, options.strength)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes
-    for source in volumes:
-        if options.mode == "REPLACE":
-            shading.hide_source(source)
+    for source in problem.sources:
+        if source.is_volume and options.mode == "REPLACE":
+            # Blender deselects what is hidden; the next bake is to find it all the same.
+            ob.select_set(ob.select_get() or source.ob.select_get())
+            shading.hide_source(source.ob)
         else:
-            shading.show_source(source)
+            shading.show_source(source.ob)
     if volumes:
         shading.prepare_scene(context.scene)

@@ -10,11 +10,13 @@ Both save the lit scene, print one sentence on failure and then exit with 1.
 import argparse
 import sys
 from dataclasses import fields
+from pathlib import Path
 
 import bpy
 
 from . import bake, job
 from .errors import LightingError, OutputError, SceneError
+from .output.volume import require_writable
 
 _HELP = {
     "resolution": "voxels along the longest edge",
@@ -70,6 +72,7 @@ def _parser(opens_file):
 
 def _bake(parsed):
     _open(parsed)
+    target = _target(parsed)
     scene = bpy.context.scene
     if parsed.frame is not None:
         scene.frame_set(parsed.frame)
@@ -82,14 +85,15 @@ def _bake(parsed):
     )
     for note in outcome.notes:
         print(note)
-    _save(parsed)
+    _save(target)
     print(f"{outcome.summary}: {outcome.path}")
 
 
 def _clear(parsed):
     _open(parsed)
+    target = _target(parsed)
     count = bake.clear(bpy.context, parsed.delete_files)
-    _save(parsed)
+    _save(target)
     print(f"LB light taken out of {count} objects")
 
 
@@ -115,10 +119,17 @@ def _open(parsed):
         raise SceneError(f"{parsed.blend} cannot be opened; check the path.") from error
 
 
-def _save(parsed):
+def _target(parsed):
+    """The path to save at; OutputError, before the work, where nothing can be saved."""
     path = parsed.output or bpy.data.filepath
     if not path:
         raise OutputError("The scene has no file yet; say where to save it with --output.")
+    path = Path(path).absolute()
+    require_writable(path.parent)
+    return str(path)
+
+
+def _save(path):
     try:
         bpy.ops.wm.save_as_mainfile(filepath=path)
     except RuntimeError as error:

@@ -37,6 +37,12 @@ def solve(medium, lights, settings, device=None, progress=None):
         return exchange.load_field(result)
 
 
+def require_memory(shape, device=None):
+    """Refuse, with a DeviceError, a domain of `shape` voxels that the device cannot hold."""
+    for _ in _messages("plan", *map(str, shape), device or ""):
+        pass
+
+
 def device_lines():
     """The devices that can solve, a line each, the default first."""
     return next(m["devices"] for m in _messages("devices") if "devices" in m)

@@ -2,12 +2,13 @@
 """The solver's own process: no Blender in it, and no OpenCL in Blender's.
 
     python -m lb_lighting.worker solve PROBLEM.npz FIELD.npz
+    python -m lb_lighting.worker plan NX NY NZ DEVICE
     python -m lb_lighting.worker devices
 
 It answers on stdout, one JSON object a line: {"stage", "fraction"} while it works,
-{"devices": [line, ...]} or {"field": path} when done, {"error": kind, "text": sentence}
-where it cannot. A driver that prints to stdout does no harm: the messages go to a copy of it,
-and the rest to stderr.
+{"devices": [line, ...]} or {"field": path} when done, nothing for a plan that fits,
+{"error": kind, "text": sentence} where it cannot. A driver that prints to stdout does no harm:
+the messages go to a copy of it, and the rest to stderr.
 """
 
 import json
@@ -17,7 +18,7 @@ import sys
 from . import exchange
 from .errors import DeviceError, LightingError
 from .transport import device
-from .transport.solver import solve
+from .transport.solver import require_memory, solve
 
 
 def main(arguments):
@@ -30,6 +31,9 @@ def main(arguments):
     try:
         if arguments == ["devices"]:
             say(devices=[found.line for found in device.devices()])
+        elif arguments[0] == "plan":
+            *shape, wanted = arguments[1:]
+            require_memory(tuple(map(int, shape)), device=wanted)
         else:
             _, problem, result = arguments
             _solve(problem, result, say)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every test starts from an empty Blender file where Blender is there at all."""
 
+import subprocess
+
 import pytest
 
 try:
@@ -30,6 +32,22 @@ def empty_file():
     """An empty file without a world; the names of a previous test are gone."""
     if bpy is not None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def processes(monkeypatch):
+    """The solver's processes that were started."""
+    from lb_lighting import job
+
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            started.append(self)
+
+    monkeypatch.setattr(job.subprocess, "Popen", Recorded)
+    return started
 
 
 @pytest.fixture

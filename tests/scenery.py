@@ -15,7 +15,14 @@ from lb_lighting.output.volume import LIGHT_GRID
 
 EDGE = 8  # voxels of a fog
 # What tells of the session, not of the file.
-NOT_OF_THE_FILE = {"screens", "window_managers", "workspaces", "all_ids"}
+NOT_OF_THE_FILE = {
+    "all_ids",
+    "screens",
+    "session_uid",
+    "velocity_grid",  # filled in where Blender has read the .vdb
+    "window_managers",
+    "workspaces",
+}
 
 
 def link(name, data):
@@ -45,6 +52,8 @@ def write_fog(path, values):
     grid.name = "density"
     grid.transform = openvdb.createLinearTransform(2 / EDGE)
     grid.transform.postTranslate((1 / EDGE - 1,) * 3)
+    for voxel in np.argwhere(np.isnan(values)):  # which copyFromArray drops
+        grid.getAccessor().setValueOn(voxel, np.nan)
     openvdb.write(str(path), [grid])
 
 
@@ -157,12 +166,14 @@ def snapshot():
 
 
 def _facts(block):
-    facts = _values(block) | {key: str(block[key]) for key in block.keys()}  # noqa: SIM118
+    facts = _values(block) | {key: _own(block[key]) for key in block.keys()}  # noqa: SIM118
     for name in ("cycles", "lb_lighting", "render", "view_settings"):
         if hasattr(part := getattr(block, name, None), "bl_rna"):
             facts[name] = _values(part)
     if isinstance(block, bpy.types.Object):
-        facts["slots"] = [(slot.link, str(slot.material)) for slot in block.material_slots]
+        facts["slots"] = [
+            (slot.link, slot.material and slot.material.name) for slot in block.material_slots
+        ]
         facts["selected"] = block.select_get()
     if isinstance(block, bpy.types.Scene):
         facts["objects"] = block.objects.keys()
@@ -171,12 +182,17 @@ def _facts(block):
         facts["colors"] = colors.active_color_name, colors.default_color_name
         facts["attributes"] = [_values(attribute) for attribute in block.attributes]
     if hasattr(block, "materials"):
-        facts["materials"] = [str(material) for material in block.materials]
+        facts["materials"] = [material and material.name for material in block.materials]
     if tree := getattr(block, "node_tree", None):
         facts["nodes"] = {node.name: _node_facts(node) for node in tree.nodes}
         facts["links"] = {(link.from_socket.path_from_id(), link.to_socket.path_from_id())
                           for link in tree.links}  # fmt: skip
     return facts
+
+
+def _own(value):
+    """A custom property as it reads, whatever its address."""
+    return str(value.to_dict() if hasattr(value, "to_dict") else value)
 
 
 def _node_facts(node):
@@ -187,9 +203,9 @@ def _values(struct):
     """{property: value} of numbers and texts, and the names of data-blocks."""
     values = {}
     for prop in struct.bl_rna.properties:
-        value = getattr(struct, prop.identifier)
-        if prop.type == "COLLECTION":
+        if prop.type == "COLLECTION" or prop.is_deprecated or prop.identifier in NOT_OF_THE_FILE:
             continue
+        value = getattr(struct, prop.identifier)
         if prop.type != "POINTER":
             values[prop.identifier] = value if np.isscalar(value) else str(_plain(value))
         elif isinstance(value, bpy.types.ID):

@@ -2,6 +2,7 @@
 """Volumes out: light and density as an OpenVDB file, and the Volume object that shows it."""
 
 import os
+import tempfile
 import uuid
 from pathlib import Path
 
@@ -134,6 +135,19 @@ def default_folder():
         extension = ".".join(__package__.split(".")[:3])
         return Path(bpy.utils.extension_path_user(extension, path="baked", create=True))
     return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting", create=True))
+
+
+def require_writable(folder):
+    """OutputError, before any work, for a folder that is not there or takes no files."""
+    if not Path(folder).is_dir():
+        raise OutputError(f"The folder {folder} does not exist; choose another or make it.")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"Nothing can be written to {folder}; choose a folder that is writable."
+        ) from error
 
 
 def _new_volume(scene, source_name):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..transport.medium import Optics
-from .shaders import Shader
+from .shaders import Shader, resolve
 
 VOLUME_NODES = {
     "PRINCIPLED_VOLUME",
@@ -90,6 +90,14 @@ def volume_optics(material):
         )
     g = np.divide(moment, sigma_s, out=np.zeros(3), where=sigma_s > 0)
     return VolumeOptics(grey(Optics(tuple(sigma_s), tuple(sigma_a), tuple(g))), attributes.pop())
+
+
+def has_surface(material):
+    """Whether a surface is rendered; without a material there is a plain one."""
+    if material is None:
+        return True
+    output = material.node_tree.get_output_node("CYCLES")
+    return output is not None and resolve(output.inputs["Surface"])[0].is_output
 
 
 def leaf_optics(material):

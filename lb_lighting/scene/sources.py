@@ -10,7 +10,7 @@ from mathutils import Vector
 from ..errors import SceneError
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
-from .materials import leaf_optics, volume_optics
+from .materials import has_surface, leaf_optics, volume_optics
 
 FROM_MATERIAL = "MATERIAL"
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
@@ -93,7 +93,10 @@ def _surface_role(ob, parts):
 
 
 class _Source:
-    """ob, bounds ((lower, upper) in m), and what they put on a lattice."""
+    """ob, bounds ((lower, upper) in m), and what they put on a lattice.
+
+    is_volume  whether its light is shown by a lit volume in its place, or on its surface
+    """
 
     is_volume = False
 
@@ -173,6 +176,10 @@ class FoliageSource(_SurfaceSource):
 
 class SolidSource(_SurfaceSource):
     """A closed body of a translucent material."""
+
+    @property
+    def is_volume(self):
+        return not any(has_surface(part.material) for part in self.parts)
 
     def shares(self, domain):
         material = next((part.material for part in self.parts if part.material), None)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's lattice on an OpenCL device, by one of its three kernels (paper 1, section 3.1)."""
 
+from math import prod
+
 import numpy as np
 import pyopencl as cl
 
@@ -45,7 +47,7 @@ class PaperLattice:
     @staticmethod
     def buffers(shape, kernel, occlusion):
         """{what: bytes} of device memory for a lattice of this shape."""
-        nodes = int(np.prod(shape))
+        nodes = prod(shape)
         plan = {
             "light": 19 * 4 * nodes,
             "next light": 19 * 4 * nodes,

@@ -2,6 +2,8 @@
 """The paper's lattice update in NumPy float64: the oracle of the kernels, and the solver
 where no OpenCL runtime exists."""
 
+from math import prod
+
 import numpy as np
 
 from .device import require_memory
@@ -54,7 +56,7 @@ class ReferenceLattice:
     @staticmethod
     def buffers(shape):
         """{what: bytes} for a lattice of this shape: two states, and the work of a collision."""
-        state = 19 * 8 * int(np.prod(shape))
+        state = 19 * 8 * prod(shape)
         return {"light": state, "collision": 2 * state, "previous light": state}
 
     def start(self, inflow, omega):

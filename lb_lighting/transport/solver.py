@@ -100,6 +100,15 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     return Field(medium.domain, light, np.zeros_like(light), flux, report)
 
 
+def require_memory(shape, settings=None, device=None):
+    """Refuse a domain of `shape` voxels that is too large for the device, before it is made.
+
+    DeviceError says the largest resolution that fits; settings and device are those of `solve`.
+    """
+    chosen = devices.choose(device)
+    devices.require_memory(chosen, shape, _buffers(settings or Settings(), chosen))
+
+
 def boundary_inflow(lights, bands):
     """(bands, 19) W/m^2: the light that a boundary node holds in each direction.
 
@@ -153,6 +162,15 @@ def _lattice(medium, settings, device):
     from .paper import PaperLattice  # only now: it needs pyopencl
 
     return PaperLattice(medium, settings.keep_absorbed, device, settings.kernel), device
+
+
+def _buffers(settings, device):
+    """Function of a shape: the {what: bytes} of its lattice, without any occlusion."""
+    if device.kind == "NumPy":
+        return ReferenceLattice.buffers
+    from .paper import PaperLattice
+
+    return lambda shape: PaperLattice.buffers(shape, settings.kernel, occlusion=None)
 
 
 def _distinct_runs(medium, inflow):

@@ -3,7 +3,6 @@
 
 import os
 import tempfile
-from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -23,6 +22,7 @@ from lb_lighting.output.volume import (
     write_vdb,
 )
 from lb_lighting.transport.medium import Domain
+from tests.scenery import read_only
 
 needs_posix = pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
 
@@ -121,20 +121,6 @@ def test_a_file_of_the_user_is_not_overwritten(tmp_path, domain, density, light)
 def test_missing_folder_is_one_sentence(tmp_path, domain, density, light):
     with pytest.raises(OutputError, match="could not be written; choose a folder"):
         write_vdb(tmp_path / "nowhere" / "a.vdb", domain, density, light, {})
-
-
-@contextmanager
-def read_only(folder):
-    """Inside, this process may not write to `folder`."""
-    user = os.geteuid()
-    folder.chmod(0o555)
-    try:
-        if user == 0:  # to root, no folder is read-only
-            os.seteuid(65534)
-        yield
-    finally:
-        os.seteuid(user)
-        folder.chmod(0o755)
 
 
 @pytest.fixture

@@ -57,7 +57,9 @@ class UnavailableError(Exception):
 
 def inside(root, *command):
     """The command line that runs `command` in the Debian of folder `root`, at the checkout."""
-    return ["unshare", "--mount", "sh", "-c", ENTER, "sh", str(root), str(ROOT), *command]
+    enter = ["unshare", "--mount", "sh", "-c", ENTER, "sh", str(root), str(ROOT)]
+    # Where this machine keeps its OpenCL drivers is nothing to that Debian.
+    return ["env", "-u", "OCL_ICD_VENDORS", "-u", "LD_LIBRARY_PATH", *enter, *command]
 
 
 def debian_mirror():

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What objects are to the light, and many of them as one medium."""
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting.errors import SceneError
+from lb_lighting.scene import sources
+from lb_lighting.scene.sources import FROM_MATERIAL, Reader, Share, mixture, open_sources
+from lb_lighting.transport.medium import PRESETS, Domain, Optics
+from tests import scenery
+
+DOMAIN = Domain.around((-1, -1, -1), (1, 1, 1), 20)
+LONGEST = DOMAIN.voxel_size * 20
+
+
+def read(*objects, medium=FROM_MATERIAL, optical_depth=30.0, grid=""):
+    """(sources, notes)."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    reader = Reader(depsgraph, medium, optical_depth, grid)
+    return open_sources(objects, reader), reader.notes
+
+
+def share(ob, **choices):
+    """The one share of one object."""
+    ((source,), _notes) = read(ob, **choices)
+    (found,) = source.shares(DOMAIN)
+    return found
+
+
+def extinction(optics):
+    return np.max(np.add(optics.sigma_s, optics.sigma_a))
+
+
+class TestRoles:
+    @pytest.mark.parametrize(
+        ("make", "kind"),
+        [
+            (lambda folder: scenery.add_fog(folder), "VolumeSource"),
+            (lambda folder: scenery.add_leaves(), "FoliageSource"),
+            (lambda folder: scenery.add_leaves(material=False), "FoliageSource"),
+            (lambda folder: scenery.add_ball(material=scenery.volume_material()), "SolidSource"),
+            (lambda folder: scenery.add_ball(role="SOLID"), "SolidSource"),
+            (lambda folder: scenery.add_ball(role="OCCLUDER"), "OccluderSource"),
+            (
+                lambda folder: scenery.add_ball(role="FOLIAGE", material=scenery.volume_material()),
+                "FoliageSource",
+            ),
+        ],
+    )
+    def test_of_an_object(self, tmp_path, make, kind):
+        ((source,), _notes) = read(make(tmp_path))
+        assert type(source) is getattr(sources, kind)
+
+    def test_a_body_is_shown_by_its_surface_or_else_as_a_volume(self):
+        fog, glass = scenery.volume_material(), scenery.volume_material()
+        nodes = glass.node_tree.nodes
+        surface = nodes.new("ShaderNodeBsdfGlass").outputs[0]
+        output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+        glass.node_tree.links.new(surface, output.inputs["Surface"])
+        balls = [scenery.add_ball(role="SOLID", material=m) for m in (fog, glass, None)]
+        found, _notes = read(*balls)
+        assert [source.is_volume for source in found] == [True, False, False]
+
+    def test_a_curve_is_lit_by_its_surface(self):
+        bpy.ops.curve.primitive_bezier_circle_add()
+        curve = bpy.context.object
+        curve.data.bevel_depth = 0.1
+        ((source,), _notes) = read(curve)
+        lower, upper = source.bounds
+        assert upper - lower == pytest.approx((2.2, 2.2, 0.2), abs=0.05)
+        assert not source.is_volume
+
+    def test_an_instance_counts_for_the_object_that_makes_it(self):
+        leaves = scenery.add_leaves()
+        collection = bpy.data.collections.new("tree")
+        collection.objects.link(leaves)
+        bpy.context.scene.collection.objects.unlink(leaves)
+        instance = scenery.link("instance", None)
+        instance.instance_type, instance.instance_collection = "COLLECTION", collection
+        instance.location = (0, 0, 7)
+        bpy.context.view_layer.update()
+        ((source,), _notes) = read(instance)
+        assert np.mean(source.bounds, axis=0) == pytest.approx((0, 0, 7), abs=0.2)
+
+    def test_what_is_neither_is_named(self):
+        leaves, camera = scenery.add_leaves(), scenery.link("eye", bpy.data.cameras.new("eye"))
+        with pytest.raises(SceneError, match=r"^'eye' has neither a volume nor faces; select"):
+            read(leaves, camera)
+
+    def test_nothing(self):
+        with pytest.raises(SceneError, match=r"^Nothing is selected; select"):
+            read()
+
+
+class TestVolumes:
+    def test_material(self, tmp_path):
+        found = share(scenery.add_fog(tmp_path))
+        assert found.optics == Optics(pytest.approx(3.6), pytest.approx(0.4), pytest.approx(0.3))
+        assert found.density.max() == pytest.approx(1, abs=0.1)
+
+    def test_a_homogeneous_material_fills_the_grid(self, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.active_material.node_tree.nodes["Principled Volume"].inputs[
+            "Density Attribute"
+        ].default_value = ""
+        assert set(np.unique(share(ob).density)) == {0, 1}
+
+    @pytest.mark.parametrize("name", PRESETS)
+    def test_preset(self, tmp_path, name):
+        found = share(scenery.add_fog(tmp_path), medium=name, optical_depth=12)
+        assert extinction(found.optics) * LONGEST == pytest.approx(12)
+        preset = PRESETS[name]
+        ratio = np.divide(found.optics.sigma_s, preset.sigma_s)
+        assert ratio == pytest.approx(np.divide(found.optics.sigma_a, preset.sigma_a))
+        assert np.ptp(ratio) == pytest.approx(0, abs=1e-9)
+        assert found.optics.g == preset.g
+
+    def test_no_material_is_told(self, tmp_path):
+        (_found, notes) = read(scenery.add_fog(tmp_path, material=False))
+        assert notes == ["'fog' has no volume material; the preset stands in."]
+
+
+class TestSurfaces:
+    def test_foliage_has_its_own_depth(self):
+        ob = scenery.add_leaves()
+        by_material, by_preset = share(ob), share(ob, medium="plant", optical_depth=5)
+        assert np.array_equal(by_material.density, by_preset.density)
+        assert extinction(by_material.optics) == pytest.approx(1)
+        assert extinction(by_preset.optics) == pytest.approx(1)
+
+    def test_leaves_with_holes_are_thinner(self):
+        ob = scenery.add_leaves()
+        whole = share(ob).density.sum()
+        ob.active_material.node_tree.nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.25
+        assert share(ob).density.sum() == pytest.approx(whole / 4)
+
+    def test_each_material_is_a_share(self):
+        ob = scenery.add_leaves()
+        ob.data.materials.append(scenery.leaf_material(color=(0.5, 0.1, 0.1)))
+        ob.data.polygons.foreach_set("material_index", np.arange(200) % 2)
+        ((source,), _notes) = read(ob)
+        green, red = source.shares(DOMAIN)
+        assert green.optics.sigma_s == pytest.approx((0.1, 0.5, 0.1))
+        assert red.optics.sigma_s == pytest.approx((0.5, 0.1, 0.1))
+
+    def test_solid_is_full_inside(self):
+        found = share(scenery.add_ball(role="SOLID"), optical_depth=7)
+        volume = found.density.sum() * DOMAIN.voxel_size**3
+        assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.05)
+        assert extinction(found.optics) * LONGEST == pytest.approx(7)
+
+    def test_occluder_is_no_medium(self):
+        ((source,), _notes) = read(scenery.add_ball(role="OCCLUDER"))
+        assert source.shares(DOMAIN) == []
+        stopped = source.occlusion(DOMAIN)
+        assert stopped[10, 10, 10] == 1
+        assert stopped[2, 2, 2] == 0
+
+
+class TestMixture:
+    ONE, TWO = np.ones((2, 2, 2), np.float32), np.full((2, 2, 2), 3, np.float32)
+
+    def test_the_same_optics_stay(self):
+        optics = Optics((3.0, 2.0, 1.0), 0.5, 0.2)
+        density, mixed = mixture([Share(self.ONE, optics), Share(self.TWO, optics)])
+        assert density == pytest.approx(self.ONE + self.TWO)
+        assert mixed.sigma_s == pytest.approx((3, 2, 1))
+        assert mixed.sigma_a == pytest.approx((0.5,) * 3)
+        assert mixed.g == pytest.approx((0.2,) * 3)
+
+    def test_extinction_and_its_parts_keep_their_sums(self):
+        shares = [Share(self.ONE, Optics(4.0, 1.0, 0.5)), Share(self.TWO, Optics(2.0, 0.0, -0.1))]
+        density, mixed = mixture(shares)
+        mass = density.sum()
+        assert mixed.sigma_s[0] * mass == pytest.approx(8 * 4 + 24 * 2)
+        assert mixed.sigma_a[0] * mass == pytest.approx(8 * 1)
+        scattering_times_g = mixed.sigma_s[0] * mixed.g[0] * mass
+        assert scattering_times_g == pytest.approx(8 * 4 * 0.5 + 24 * 2 * -0.1)
+
+    def test_grey_and_coloured(self):
+        _density, mixed = mixture(
+            [Share(self.ONE, Optics(1.0, 0.0)), Share(self.ONE, Optics((0.0, 1.0, 2.0), 0.0))]
+        )
+        assert mixed.sigma_s == pytest.approx((0.5, 1, 1.5))
+
+    def test_pure_absorption_has_no_mean_cosine(self):
+        _density, mixed = mixture([Share(self.ONE, Optics(0.0, 1.0, 0.7))])
+        assert mixed.g == (0,)
+
+    @pytest.mark.parametrize("shares", [[], [Share(np.zeros((2, 2, 2)), Optics(1.0, 0.0))]])
+    def test_nothing_to_light(self, shares):
+        with pytest.raises(SceneError, match="no density to light here"):
+            mixture(shares)

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake and Clear as the user has them, and the properties that they read."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting.bake import Options
+from lb_lighting.output.shading import MODES
+from lb_lighting.output.volume import baked_volumes
+from lb_lighting.scene.sources import FROM_MATERIAL
+from lb_lighting.transport.medium import PRESETS
+from lb_lighting.ui import properties
+from tests import scenery
+from tests.scenery import snapshot
+
+
+def choices(group, name):
+    return [item.identifier for item in group.bl_rna.properties[name].enum_items]
+
+
+class TestProperties:
+    def test_a_new_scene_has_the_defaults_of_the_options(self):
+        assert Options.of(bpy.context.scene) == Options()
+
+    def test_every_option_is_the_scenes(self, tmp_path):
+        scene = bpy.context.scene
+        box = scenery.link("box", None)
+        chosen = {
+            "resolution": 32,
+            "padding": 3,
+            "medium": "plant",
+            "optical_depth": 12.5,
+            "grid": "smoke",
+            "mode": "ADD",
+            "strength": 0.5,
+            "keep_absorbed": True,
+            "device": "GPU",
+            "folder": str(tmp_path),
+        }
+        for name, value in chosen.items():
+            setattr(scene.lb_lighting, name, value)
+        scene.lb_lighting.domain = box
+        chosen["domain"] = "box"
+        assert chosen.keys() == {field.name for field in fields(Options)}
+        assert Options.of(scene) == Options(**chosen)
+
+    def test_changes_come_before_the_scenes_own(self):
+        bpy.context.scene.lb_lighting.resolution = 32
+        options = Options.of(bpy.context.scene, resolution=48, padding=None)
+        assert (options.resolution, options.padding) == (48, 2)
+
+    def test_choices_are_those_that_bake_knows(self):
+        assert choices(properties.SceneProperties, "medium") == [FROM_MATERIAL, *PRESETS]
+        assert choices(properties.SceneProperties, "mode") == list(MODES)
+
+    def test_settings_are_saved_in_the_file(self, tmp_path):
+        scene = bpy.context.scene
+        ob = scenery.link("box", None)
+        scene.lb_lighting.resolution, ob.lb_lighting.role = 40, "OCCLUDER"
+        path = str(tmp_path / "scene.blend")
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.ops.wm.open_mainfile(filepath=path)
+        assert bpy.context.scene.lb_lighting.resolution == 40
+        assert bpy.data.objects["box"].lb_lighting.role == "OCCLUDER"
+
+    def test_devices_are_offered_as_they_are_typed(self):
+        assert "NumPy (no OpenCL)" in properties._search_devices(None, None, "numpy")
+        assert properties._search_devices(None, None, "abacus") == []
+
+
+class TestBake:
+    @pytest.mark.parametrize("context", ["EXEC_DEFAULT", "INVOKE_DEFAULT"])
+    def test_does_the_whole_job(self, scene, tmp_path, context, capfd):
+        fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
+        scenery.select(fog, leaves)
+        assert bpy.ops.lb_lighting.bake(context) == {"FINISHED"}
+        assert fog.hide_render
+        assert scenery.ambient(leaves).min() > 0
+        assert "Info: Lit 16 x 16 x 16 voxels, 2 bands, 32 steps in " in capfd.readouterr().out
+
+    def test_notes_are_warnings(self, scene, tmp_path, capfd):
+        scenery.select(scenery.add_fog(tmp_path, material=False))
+        bpy.ops.lb_lighting.bake()
+        told = capfd.readouterr().out
+        assert "Warning: 'fog' has no volume material; the preset stands in." in told
+        assert "Warning: Solved with NumPy; an OpenCL driver" in told
+
+    def test_again_without_a_new_selection(self, scene, tmp_path):
+        scenery.select(scenery.add_fog(tmp_path))
+        bpy.ops.lb_lighting.bake()
+        (ob,) = baked_volumes(scene)
+        first = ob.data.filepath
+        scene.lb_lighting.resolution = 12
+        assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
+        assert baked_volumes(scene) == [ob]
+        assert ob.data.filepath != first
+
+    def test_is_off_without_a_selection(self, scene):
+        assert not bpy.ops.lb_lighting.bake.poll()
+        with pytest.raises(RuntimeError, match="Select a volume, a smoke domain or a mesh"):
+            bpy.ops.lb_lighting.bake()
+
+    def test_undo(self, scene, tmp_path):
+        fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
+        scenery.select(fog, leaves)
+        bpy.ops.ed.undo_push(message="before")
+        before = snapshot()
+        bpy.ops.lb_lighting.bake("EXEC_DEFAULT", True)
+        lit = snapshot()
+        assert lit != before
+        bpy.ops.ed.undo()
+        assert snapshot() == before
+        bpy.ops.ed.redo()
+        assert snapshot() == lit
+
+
+class TestClear:
+    def test_after_a_bake(self, scene, tmp_path):
+        scenery.select(scenery.add_fog(tmp_path), scenery.add_leaves())
+        before = snapshot()
+        bpy.ops.lb_lighting.bake()
+        assert bpy.ops.lb_lighting.clear(delete_files=True) == {"FINISHED"}
+        assert snapshot() == before
+        assert [path.name for path in tmp_path.glob("*.vdb")] == ["fog.vdb"]
+
+    def test_nothing_to_clear(self, scene, capfd):
+        assert bpy.ops.lb_lighting.clear() == {"CANCELLED"}
+        assert "Nothing to clear: this scene has no LB light" in capfd.readouterr().out
+
+
+def select_the_sun(scene):
+    scenery.select(bpy.data.objects["sun"])
+
+
+def lose_the_file(scene):
+    bpy.data.volumes["fog"].filepath = "//nowhere.vdb"
+
+
+def ask_for_smoke(scene):
+    scene.lb_lighting.grid = "smoke"
+
+
+def spoil_a_voxel(scene):
+    path = bpy.data.volumes["fog"].filepath
+    values = scenery.ball()
+    values[3, 3, 3] = np.nan
+    scenery.write_fog(path.replace("fog.vdb", "spoilt.vdb"), values)
+    bpy.data.volumes["fog"].filepath = path.replace("fog.vdb", "spoilt.vdb")
+
+
+def ask_for_no_voxels(scene):
+    scene.lb_lighting.resolution = 0
+
+
+def ask_for_too_many_voxels(scene):
+    scene.lb_lighting.resolution = 2**31 - 1
+
+
+def switch_off_the_sun(scene):
+    bpy.data.lights["sun"].energy = 0
+
+
+def write_nowhere(scene):
+    scene.lb_lighting.folder = str(Path(scene.lb_lighting.folder) / "nowhere")
+
+
+def ask_for_an_abacus(scene):
+    scene.lb_lighting.device = "abacus"
+
+
+BAD = {
+    select_the_sun: "'sun' has neither a volume nor faces; select a volume",
+    lose_the_file: "The volume file '//nowhere.vdb' of 'fog' cannot be read",
+    ask_for_smoke: "'fog' has no grid 'smoke'; choose one of: density.",
+    spoil_a_voxel: "The grid 'density' has 1 voxels that are negative or not finite; ",
+    ask_for_no_voxels: "A resolution of 0 voxels is too low; use 7 or more.",
+    ask_for_too_many_voxels: "the largest resolution that fits is ",
+    switch_off_the_sun: "The scene has no light; add a sun",
+    write_nowhere: "nowhere does not exist; choose another or make it.",
+    ask_for_an_abacus: "There is no device called 'abacus'; choose one of: ",
+}
+
+
+@pytest.mark.parametrize("spoil", BAD, ids=lambda spoil: spoil.__name__)
+def test_bad_input_is_one_sentence_and_no_change(scene, tmp_path, spoil):
+    scenery.select(scenery.add_fog(tmp_path))
+    spoil(scene)
+    before, files = snapshot(), set(tmp_path.iterdir())
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.lb_lighting.bake()
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith("Error: ")
+    assert BAD[spoil] in line
+    assert snapshot() == before
+    assert set(tmp_path.iterdir()) == files
