@@ -8,7 +8,11 @@ import bpy
 bpy.utils.expose_bundled_modules()
 
 from . import register  # noqa: E402 - OpenVDB has to be exposed first
-from .cli import main  # noqa: E402
+from .cli import leave, main  # noqa: E402
 
 register()
-sys.exit(main(sys.argv[1:], opens_file=True))
+try:
+    code = main(sys.argv[1:], opens_file=True)
+except SystemExit as end:  # argparse: help, or arguments that it cannot read
+    code = end.code
+leave(code)

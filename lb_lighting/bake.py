@@ -16,11 +16,13 @@ from . import job
 from .errors import OutputError, SceneError, SettingsError
 from .output import attribute, shading, volume
 from .scene.lights import scene_lights
-from .scene.materials import leaf_optics
 from .scene.sources import FROM_MATERIAL, Reader, mixture, open_sources
+from .scene.volumes import box_bounds
 from .transport.field import Field
 from .transport.medium import PRESETS, Domain, Medium, paper_units
 from .transport.solver import Settings
+
+SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,10 @@ class Options:
                 )
         if self.padding < 1:
             raise SettingsError(f"The padding must be 1 voxel or more; it is {self.padding}.")
-        if not self.optical_depth > 0:
+        if not (self.optical_depth > 0 and np.isfinite(self.optical_depth)):
             raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
+        if not (self.strength >= 0 and np.isfinite(self.strength)):
+            raise SettingsError(f"The strength must not be negative; it is {self.strength}.")
 
     @classmethod
     def of(cls, scene, **changes):
@@ -126,10 +130,11 @@ def gather(context, objects, options):
         sources = open_sources(objects, reader)
         domain = _domain(context, sources, options)
         job.require_memory(domain.shape, options.device)
+        _refuse_tiny(domain)
         shares = {source: source.shares(domain) for source in sources}
         occlusions = [o for source in sources if (o := source.occlusion(domain)) is not None]
         lights = scene_lights(context.scene, depsgraph)
-    density, optics = mixture([share for own in shares.values() for share in own])
+    density, optics = reader.mixture([share for own in shares.values() for share in own])
     volumes = [share for source, own in shares.items() for share in own if source.is_volume]
     medium = Medium(
         density,
@@ -145,18 +150,19 @@ def gather(context, objects, options):
 
 def apply(context, problem, result, options):
     """Write the result to disk, then into the scene."""
-    surfaces = [source.ob for source in problem.sources if not source.is_volume]
+    surfaces = [source.ob for source in problem.sources if source.shows_light]
     meshes = [ob for ob in surfaces if ob.type == "MESH"]
     light = result.mean_radiance()
     name = problem.sources[0].ob.name
     path = volume.fresh_path(_folder(options), name)
-    volume.write_vdb(path, result.domain, problem.shown[0], light, _stamp(result, options))
+    stamp = _stamp(context.scene, problem, result, options)
+    volume.write_vdb(path, result.domain, problem.shown[0], light, stamp)
 
-    _show_volume(context, problem, path, name, options)
+    _show_volume(context, problem, path, options)
     depsgraph = context.evaluated_depsgraph_get()
     attribute.write_ambient(meshes, depsgraph, result.domain, light)
     for ob in meshes:
-        shading.light_surface(ob, _albedo, options.strength)
+        shading.light_surface(ob, options.strength)
     unlit = [
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
         "convert it to a mesh."
@@ -170,40 +176,55 @@ def clear(context, delete_files=False):
     """Take everything that bakes made out of the scene, and give back what they changed.
 
     delete_files  delete the .vdb files of the baked volumes too
-    Returns the number of objects that were changed or removed.
+    Returns the number of objects that had light. Raises OutputError for a file that cannot be
+    deleted; the scene is cleared all the same.
     """
     scene = context.scene
     baked = volume.baked_volumes(scene)
-    _show_sources(context, baked)
-    count = 0
-    for ob in scene.objects:
-        if ob.type == "MESH" and attribute.AMBIENT_ATTRIBUTE in ob.data.attributes:
-            attribute.remove_ambient(ob)
-            shading.unlight_surface(ob)
-            count += 1
+    paths = [volume.baked_path(ob) for ob in baked]
+    sources = [s for ob in baked for s in volume.sources_of(scene, ob)]
+    sources += volume.lost_sources(scene)
+    surfaces = [ob for ob in scene.objects if attribute.has_ambient(ob)]
+    count = len({*sources, *surfaces} or baked)
+    _release(context, sources, baked)
+    for ob in surfaces:
+        attribute.remove_ambient(ob)
+    shading.unwire_unused()
     for ob in baked:
-        volume.remove_baked(ob, delete_files)
-        count += 1
+        volume.remove_baked(ob)
     shading.restore_scene(scene)
     shading.remove_unused()
+    if delete_files:
+        for path in paths:
+            volume.delete_baked_file(path)
     return count
 
 
-def _show_sources(context, baked):
-    """Give back what bakes hid, and selected where the baked volume was."""
+def _release(context, sources, baked):
+    """Show `sources` as they were before the bake, selected where their light was."""
     selected = any(ob.select_get() for ob in baked)
-    for ob in context.scene.objects:
+    for ob in sources:
         was_hidden = ob.hide_viewport
         shading.show_source(ob)
-        shown = was_hidden and not ob.hide_viewport
-        if selected and shown and ob.name in context.view_layer.objects:
+        volume.forget(ob)
+        if selected and was_hidden and not ob.hide_viewport and _in_view(context, ob):
             ob.select_set(True)
 
 
+def _in_view(context, ob):
+    return ob.name in context.view_layer.objects
+
+
 def sources_of(scene, objects):
-    """`objects` with each baked volume replaced by the object whose light it shows."""
-    found = [volume.source_of(scene, ob) or ob for ob in objects]
-    return list(dict.fromkeys(found))
+    """`objects` with each baked volume replaced by the objects whose light it shows."""
+    baked = volume.baked_volumes(scene)
+    found = {}  # keeps the order
+    for ob in objects:
+        sources = volume.sources_of(scene, ob) if ob in baked else [ob]
+        if not sources:
+            raise SceneError(f"What '{ob.name}' was baked from is gone; select something else.")
+        found.update(dict.fromkeys(sources))
+    return list(found)
 
 
 def _refuse_unwritable(objects, options):
@@ -233,34 +254,38 @@ def _unhidden(context, objects):
 
 def _domain(context, sources, options):
     if options.domain:
-        ob = context.scene.objects.get(options.domain)
-        if ob is None:
-            raise SettingsError(
-                f"There is no object '{options.domain}' to light the bounds of; choose another."
-            )
-        matrix = np.array(ob.matrix_world)
-        corners = np.array(ob.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
+        lower, upper = _box(context, options.domain)
     else:
         corners = np.concatenate([source.bounds for source in sources])
-    return Domain.around(
-        corners.min(axis=0), corners.max(axis=0), options.resolution, options.padding
-    )
+        lower, upper = corners.min(axis=0), corners.max(axis=0)
+    return Domain.around(lower, upper, options.resolution, options.padding)
+
+
+def _refuse_tiny(domain):
+    if domain.voxel_size < SMALLEST_VOXEL:
+        raise SceneError(
+            f"Voxels of {domain.voxel_size:.1g} m are too small for a volume file; "
+            "scale the scene up."
+        )
+
+
+def _box(context, name):
+    """(lower, upper), each (3,) m: the bounds of the object `name` in world space."""
+    ob = context.scene.objects.get(name)
+    if ob is None:
+        raise SettingsError(f"There is no object '{name}' to light the bounds of; choose another.")
+    corners = np.array(ob.bound_box)
+    lower, upper = box_bounds(corners.min(axis=0), corners.max(axis=0), np.array(ob.matrix_world))
+    if not np.ptp([lower, upper], axis=0).any():
+        raise SettingsError(f"The domain '{name}' has no size of its own; choose a mesh.")
+    return lower, upper
 
 
 def _bands(optics, lights):
     """3 where a coefficient or a light has a colour, else 1."""
     values = [optics.sigma_s, optics.sigma_a, optics.g]
-    values += [vars(light).get("irradiance", vars(light).get("radiance")) for light in lights]
+    values += [light.spectrum for light in lights]
     return max(np.size(value) for value in values)
-
-
-def _albedo(material):
-    """(3,), what a surface reflects and transmits; a plain grey where its nodes do not tell."""
-    try:
-        leaf = leaf_optics(material)
-    except SceneError:
-        leaf = leaf_optics(None)
-    return np.add(leaf.reflectance, leaf.transmittance)
 
 
 def _folder(options):
@@ -269,16 +294,30 @@ def _folder(options):
     return Path(bpy.path.abspath(options.folder)).absolute()
 
 
-def _stamp(result, options):
-    """The settings that made the file, flat, for its metadata."""
+def _stamp(scene, problem, result, options):
+    """What the file was made of and how, flat, for its metadata."""
     report = asdict(result.report)
     report["seconds"] = sum(report["seconds"].values())
-    return {**asdict(options), **report}
+    coefficients = {
+        name: " ".join(f"{value:g}" for value in getattr(problem.medium, name))
+        for name in ("sigma_s", "sigma_a", "g")
+    }
+    return {
+        **asdict(options),
+        **report,
+        **coefficients,
+        "sources": ", ".join(source.ob.name for source in problem.sources),
+        "frame": scene.frame_current,
+    }
 
 
-def _show_volume(context, problem, path, name, options):
+def _show_volume(context, problem, path, options):
     """A Volume object for the file; it renders only where it stands for volumes."""
-    ob = volume.show_volume(context, name, path)
+    sources = [source.ob for source in problem.sources]
+    ob = volume.show_volume(context, sources, path)
+    # An older bake may have had more sources than this one; they have no light now.
+    gone = [s for s in volume.sources_of(context.scene, ob) if s not in sources]
+    _release(context, gone + volume.lost_sources(context.scene), [])
     volumes = any(source.is_volume for source in problem.sources)
     _density, optics = problem.shown
     shading.shade_volume(ob, options.mode, optics.sigma_s, optics.sigma_a, options.strength)

@@ -8,6 +8,7 @@ Both save the lit scene, print one sentence on failure and then exit with 1.
 """
 
 import argparse
+import os
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -47,6 +48,16 @@ def main(arguments, opens_file):
     return 0
 
 
+def leave(code):
+    """End the process with an exit code that holds.
+
+    As a Python module, Blender at times crashes when the interpreter takes it down.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
 def _parser(opens_file):
     parser = argparse.ArgumentParser("lb_lighting", description="Lattice-Boltzmann lighting")
     commands = parser.add_subparsers(required=True, metavar="command")
@@ -56,7 +67,8 @@ def _parser(opens_file):
     baking.add_argument("--frame", type=int, help="frame of the scene to light")
     for option in fields(bake.Options):
         # Left out, an option is what the .blend says.
-        how = {"action": "store_true"} if option.type is bool else {"type": option.type}
+        is_flag = option.type is bool
+        how = {"action": argparse.BooleanOptionalAction} if is_flag else {"type": option.type}
         name = f"--{option.name.replace('_', '-')}"
         baking.add_argument(name, default=None, help=_HELP[option.name], **how)
     clearing = commands.add_parser("clear", help="take the light out and save the scene")
@@ -94,7 +106,7 @@ def _clear(parsed):
     target = _target(parsed)
     count = bake.clear(bpy.context, parsed.delete_files)
     _save(target)
-    print(f"LB light taken out of {count} objects")
+    print(f"LB light taken out of {count} object{'s' * (count != 1)}")
 
 
 def _list_devices(_parsed):

@@ -13,6 +13,21 @@ else:
     if hasattr(bpy.utils, "expose_bundled_modules"):
         bpy.utils.expose_bundled_modules()
 
+EXIT_CODE = pytest.StashKey()
+
+
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[EXIT_CODE] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """Everything is reported: end before the interpreter takes Blender down, see `cli.leave`."""
+    if bpy is not None and EXIT_CODE in config.stash:
+        from lb_lighting.cli import leave
+
+        leave(config.stash[EXIT_CODE])
+
 
 @pytest.fixture(scope="session", autouse=True)
 def registered():

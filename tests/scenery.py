@@ -192,6 +192,8 @@ def _facts(block):
 
 def _own(value):
     """A custom property as it reads, whatever its address."""
+    if isinstance(value, bpy.types.ID):
+        return value.name
     return str(value.to_dict() if hasattr(value, "to_dict") else value)
 
 
@@ -217,3 +219,11 @@ def _plain(value):
     if isinstance(value, set):
         return sorted(value)
     return [_plain(v) for v in value] if hasattr(value, "__iter__") else value
+
+
+def source(name):
+    """An object of that name in the scene, to show light for; made at the first call."""
+    scene = bpy.context.scene
+    if name not in scene.objects:
+        scene.collection.objects.link(bpy.data.objects.new(name, None))
+    return scene.objects[name]

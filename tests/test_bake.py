@@ -63,7 +63,7 @@ class TestVolume:
 
     def test_a_missing_material_is_told(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path, material=False))
-        assert "'fog' has no volume material; the preset stands in." in outcome.notes
+        assert "'fog' has no volume material; the preset 'cloud' stands in." in outcome.notes
 
     def test_grey_is_one_band(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path))
@@ -238,6 +238,59 @@ class TestAgain:
         scenery.select(ob)
         bake_light(*bpy.context.selected_objects)
         assert bpy.context.selected_objects == [baked()]
+
+
+class TestTogether:
+    """Sources that were baked in one go stay tied to their light."""
+
+    @pytest.fixture
+    def pair(self, scene, tmp_path):
+        first, second = (scenery.add_fog(tmp_path, name=name) for name in ("first", "second"))
+        second.location.x = 3
+        bpy.context.view_layer.update()
+        bake_light(first, second)
+        return first, second
+
+    def test_their_light_stands_for_both(self, pair):
+        path = Path(baked().data.filepath)
+        bake_light(baked())
+        assert {ob.hide_render for ob in pair} == {True}
+        light, again = read_grid(path), read_grid(baked().data.filepath)
+        assert again[1] == light[1]
+        np.testing.assert_array_equal(again[0], light[0])
+
+    def test_one_baked_alone_leaves_the_other_as_it_was(self, pair):
+        first, second = pair
+        bake_light(second)
+        assert baked().name in bpy.context.scene.objects
+        assert (first.hide_render, second.hide_render) == (False, True)
+        assert bake.sources_of(bpy.context.scene, [baked()]) == [second]
+
+    def test_a_new_name_does_not_break_the_tie(self, pair):
+        first, second = pair
+        first.name = "renamed"
+        assert bake.sources_of(bpy.context.scene, [baked()]) == [first, second]
+        bake_light(baked())
+        assert baked()
+
+    def test_light_removed_by_hand_gives_the_sources_back(self, pair):
+        bpy.data.objects.remove(baked())
+        assert bake.clear(bpy.context) == 2
+        assert {ob.hide_render for ob in pair} == {False}
+
+    def test_light_whose_sources_are_gone(self, pair):
+        for ob in pair:
+            bpy.data.objects.remove(ob)
+        with pytest.raises(SceneError, match="was baked from is gone"):
+            bake_light(baked())
+        assert bake.clear(bpy.context) == 1
+
+    def test_another_scene_keeps_its_light(self, pair):
+        other = bpy.data.scenes.new("other")
+        other.collection.objects.link(pair[0])
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            assert bake.clear(bpy.context) == 0
+        assert pair[0].hide_render
 
 
 class TestClear:
@@ -459,6 +512,23 @@ class TestBadInput:
     def test_too_fine_for_the_memory(self, scene, tmp_path):
         sentence = "the largest resolution that fits is "
         self.refused(fog(tmp_path), DeviceError, sentence, resolution=20_000)
+
+    @pytest.mark.parametrize("strength", [-1.0, float("nan")])
+    def test_strength_below_nothing(self, scene, tmp_path, strength):
+        with pytest.raises(SettingsError, match="strength must not be negative"):
+            bake_light(scenery.add_fog(tmp_path), strength=strength)
+
+    def test_too_small_to_write(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.scale = (1e-5, 1e-5, 1e-5)
+        bpy.context.view_layer.update()
+        with pytest.raises(SceneError, match="scale the scene up"):
+            bake_light(ob)
+
+    def test_domain_without_a_size(self, scene, tmp_path):
+        scenery.link("empty", None)
+        with pytest.raises(SettingsError, match="has no size of its own; choose a mesh"):
+            bake_light(scenery.add_fog(tmp_path), domain="empty")
 
     def test_unknown_device(self, scene, tmp_path):
         sentence = "There is no device called 'abacus'; choose one of: "

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The paper's first kernel: one work-item a node, directions fastest in memory, and a table
-// that says where each flow goes. Flows that would leave the lattice, or enter a boundary
-// node, go to a sink behind the last entry.
+// that says which node each flow goes to. Flows that would leave the lattice, or enter a boundary
+// node, go to a sink behind the last node.
 //
 // Built with WIDTH, HEIGHT, DEPTH (nodes), FIRST (1 where absorbed light is dropped, else 0)
 // and, where the medium has opaque voxels, OCCLUSION.
@@ -15,7 +15,7 @@ __kernel void update(__global const float *from, __global float *to,
 #ifdef OCCLUSION
                      __global const float *occlusion,
 #endif
-                     __global const int *target)
+                     __global const uint *target)
 {
     const int i = get_global_id(2);
     const int j = get_global_id(1);
@@ -29,6 +29,6 @@ __kernel void update(__global const float *from, __global float *to,
 #ifdef OCCLUSION
         flow *= 1.0f - occlusion[NODE(i, j, k)];
 #endif
-        to[target[FLOW(i, j, k, m)]] = flow;
+        to[(size_t)target[FLOW(i, j, k, m)] * DIRECTIONS + m] = flow;
     }
 }

@@ -48,9 +48,14 @@ def write_ambient(objects, depsgraph, domain, radiance):
         _store(mesh, np.mean(light, axis=0))
 
 
+def has_ambient(ob):
+    """True for a mesh object with `lb_ambient` on it."""
+    return ob.type == "MESH" and AMBIENT_ATTRIBUTE in ob.data.attributes
+
+
 def remove_ambient(ob):
     """Take `lb_ambient` off the data of `ob`, if it is there."""
-    if ob.type == "MESH" and AMBIENT_ATTRIBUTE in ob.data.attributes:
+    if has_ambient(ob):
         ob.data.attributes.remove(ob.data.attributes[AMBIENT_ATTRIBUTE])
 
 

@@ -21,7 +21,7 @@ def volume_group():
 
 
 def ambient_group():
-    """The user's shader and, for camera rays, the emission Color x light x Strength."""
+    """The user's closure and, for camera rays, the emission Color x Alpha x light x Strength."""
     return _group(AMBIENT_GROUP, _build_ambient)
 
 
@@ -70,19 +70,22 @@ def _build_volume(tree):
 
 
 def _build_ambient(tree):
-    _socket(tree, "Shader", "OUTPUT", "NodeSocketShader", "Connect to the output's Surface")
-    _socket(tree, "Shader", "INPUT", "NodeSocketShader", "The surface to add ambient light to")
+    _socket(tree, "Shader", "OUTPUT", "NodeSocketShader", "Connect where the closure was")
+    _socket(tree, "Shader", "INPUT", "NodeSocketShader", "The closure to add ambient light to")
     _socket(tree, "Color", "INPUT", "NodeSocketColor", "Diffuse reflectance", (0.8, 0.8, 0.8, 1.0))
+    _socket(tree, "Alpha", "INPUT", "NodeSocketFloat", "Share of the closure that is there", 1.0)
     _socket(tree, "Strength", "INPUT", "NodeSocketFloat", "Factor on the light", 1.0)
-    group = _node(tree, "NodeGroupInput", -600, 100)
-    ambient = _attribute(tree, AMBIENT_ATTRIBUTE, -600, -100)
-    camera = _node(tree, "ShaderNodeLightPath", -600, -300).outputs["Is Camera Ray"]
-    shader, color, strength = group.outputs[:3]
+    group = _node(tree, "NodeGroupInput", -800, 100)
+    ambient = _attribute(tree, AMBIENT_ATTRIBUTE, -800, -100)
+    camera = _node(tree, "ShaderNodeLightPath", -800, -300).outputs["Is Camera Ray"]
+    shader, color, alpha, strength = group.outputs[:4]
 
     emission = _node(tree, "ShaderNodeEmission", -150, -100)
     reflected = _vector(tree, "MULTIPLY", color, ambient.outputs["Vector"], -350, 0)
     tree.links.new(reflected, emission.inputs["Color"])
-    factor = _math(tree, "MULTIPLY", strength, camera, -350, -200)
+    seen = _math(tree, "MULTIPLY", alpha, camera, -550, -200)
+    seen.node.use_clamp = True  # as the Principled BSDF clamps its alpha
+    factor = _math(tree, "MULTIPLY", seen, strength, -350, -200)
     tree.links.new(factor, emission.inputs["Strength"])
     add = _node(tree, "ShaderNodeAddShader", 50, 0)
     tree.links.new(shader, add.inputs[0])

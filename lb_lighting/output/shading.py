@@ -7,20 +7,33 @@ in it scatters, so Cycles has nothing left to sample. "ADD" lies over the source
 emits, for camera rays alone, because Cycles would scatter the emission once more and
 count it twice.
 
-Surfaces: the node group `LB Ambient`, put between the user's surface shader and the
-material's output, again for camera rays alone.
+Surfaces: the node group `LB Ambient`, put right behind each closure that scatters
+diffusely, so that the user's own mixes weigh its emission; again for camera rays alone.
 """
 
 import bpy
 
 from ..errors import OutputError
+from .attribute import has_ambient
 from .groups import AMBIENT_GROUP, VOLUME_GROUP, ambient_group, volume_group
 from .ours import TAG, find_ours, give_back, is_ours, override
 
 MODES = {"REPLACE": True, "ADD": False}  # the value of the group's socket "Replace"
 
-# The shaders that say themselves what share of diffuse light they reflect.
-COLOR_INPUTS = {"BSDF_PRINCIPLED": "Base Color", "BSDF_DIFFUSE": "Color"}
+# Nodes that hand on the closures of others.
+PASSING_NODES = {"MIX_SHADER", "ADD_SHADER", "REROUTE"}
+
+# What each diffuse closure gives to the inputs of `LB Ambient`; a user's group gives nothing,
+# since what it holds is its own affair.
+AMBIENT_INPUTS = {
+    "BSDF_PRINCIPLED": {"Color": "Base Color", "Alpha": "Alpha"},
+    "BSDF_DIFFUSE": {"Color": "Color"},
+    "BSDF_TRANSLUCENT": {"Color": "Color"},
+    "SUBSURFACE_SCATTERING": {"Color": "Color"},
+    "GROUP": {},
+}
+
+SLOT = "lb_lighting_slot"  # on a user's mesh: its material slot is from us
 
 
 def prepare_scene(scene):
@@ -61,24 +74,20 @@ def shade_volume(ob, mode, sigma_s, sigma_a, strength=1.0):
     inputs["Replace"].default_value = MODES[mode]
 
 
-def wire_ambient(material, color=(0.8, 0.8, 0.8), strength=1.0):
+def wire_ambient(material, strength=1.0):
     """Add ambient light to what `material` shows; a second call updates it.
 
-    color     diffuse reflectance, (3,), for surfaces that are not one Principled or Diffuse
-              BSDF; those give their own
     strength  factor on the light, dimensionless
 
-    Outputs without a surface stay as they are. Raises OutputError for a material that
+    Each diffuse closure emits its own colour, and its own alpha, times the light; closures
+    that do not scatter diffusely stay as they are. Raises OutputError for a material that
     cannot be edited.
     """
     _refuse_linked(material)
-    for output in _active_outputs(material.node_tree):
-        shader = _source(output.inputs["Surface"])
-        if shader and not is_ours(shader.node):
-            _insert_ambient(material.node_tree, shader, output)
-    for node in _ambient_nodes(material):
-        _link_color(material.node_tree, node, color)
-        node.inputs["Strength"].default_value = strength
+    unwire_ambient(material)
+    tree = material.node_tree
+    for closure, targets in _diffuse_closures(tree).items():
+        _insert_ambient(tree, closure, targets, strength)
     if _ambient_nodes(material) and hasattr(material, "cycles"):
         override(material, "cycles.emission_sampling", "NONE")
 
@@ -87,10 +96,10 @@ def unwire_ambient(material):
     """Take ambient light out of `material` and leave it as it was before `wire_ambient`."""
     tree = material.node_tree
     for node in _ambient_nodes(material):
-        shader = _source(node.inputs["Shader"])
+        closure = _source(node.inputs["Shader"])
         for target in [link.to_socket for link in node.outputs[0].links]:
-            if shader:
-                tree.links.new(shader, target)
+            if closure:
+                tree.links.new(closure, target)
         tree.nodes.remove(node)
     give_back(material)
 
@@ -103,32 +112,49 @@ def refuse_unwritable(objects):
                 _refuse_linked(slot.material)
 
 
-def light_surface(ob, albedo, strength=1.0):
-    """Wire every material of `ob`, and one of ours where it has none; see `wire_ambient`.
-
-    albedo  function of a material that gives its colour, (3,), for `wire_ambient`
-    """
+def light_surface(ob, strength=1.0):
+    """Wire every material of `ob`, and one of ours where it has none; see `wire_ambient`."""
     if not ob.material_slots:
         ob.data.materials.append(None)
-        ob.data[TAG] = "material slot"
+        ob.data[SLOT] = True
     for slot in ob.material_slots:
         if slot.material is None:
             slot.material = _plain_material()
-        wire_ambient(slot.material, albedo(slot.material), strength)
+        wire_ambient(slot.material, strength)
 
 
 def unlight_surface(ob):
-    """Undo `light_surface`."""
-    for slot in ob.material_slots:
-        if slot.material is None:
-            continue
-        unwire_ambient(slot.material)
-        if is_ours(slot.material):
+    """Take away the material of ours, and the slot for it, that `light_surface` gave `ob`.
+
+    The user's materials may light other objects too; `unwire_unused` sees to them.
+    """
+    for index, material in enumerate(ob.data.materials):
+        if material and is_ours(material):
+            ob.data.materials[index] = None
+    for slot in ob.material_slots:  # those that are linked to the object
+        if slot.material and is_ours(slot.material):
             slot.material = None
-    if is_ours(ob.data):
-        del ob.data[TAG]
-        if not any(ob.data.materials):
+    if SLOT in ob.data:
+        del ob.data[SLOT]
+        if not any(slot.material for slot in ob.material_slots):
             ob.data.materials.clear()
+
+
+def unwire_unused():
+    """Undo `light_surface` for all meshes and materials of the file that show no light.
+
+    The light of a mesh is its attribute; one that is in no scene any more shows nothing.
+    """
+    lit = {ob for scene in bpy.data.scenes for ob in scene.objects if has_ambient(ob)}
+    meshes = {ob.data for ob in lit}
+    for ob in bpy.data.objects:
+        editable = ob.type == "MESH" and ob.is_editable and ob.data.is_editable
+        if editable and ob.data not in meshes:
+            unlight_surface(ob)
+    needed = {slot.material for ob in lit for slot in ob.material_slots}
+    for material in bpy.data.materials:
+        if material not in needed and material.is_editable:
+            unwire_ambient(material)
 
 
 def remove_unused():
@@ -165,30 +191,53 @@ def _source(socket):
     return next((link.from_socket for link in socket.links if not link.is_muted), None)
 
 
-def _insert_ambient(tree, shader, output):
+def _diffuse_closures(tree):
+    """{output socket of a diffuse closure: [input sockets that it reaches the surface by]}."""
+    found = {}
+    for output in _active_outputs(tree):
+        for link in _closure_links(output.inputs["Surface"]):
+            if link.from_node.type in AMBIENT_INPUTS:
+                found.setdefault(link.from_socket, []).append(link.to_socket)
+    return found
+
+
+def _closure_links(socket):
+    """The links that bring closures to `socket`, from behind mixes, sums and reroutes."""
+    for link in socket.links:
+        node = link.from_node
+        # An invalid link closes a circle.
+        if link.is_muted or not link.is_valid or link.from_socket.type != "SHADER":
+            continue
+        if node.type in PASSING_NODES:
+            for below in node.inputs:
+                yield from _closure_links(below)
+        elif not node.mute:
+            yield link
+
+
+def _insert_ambient(tree, closure, targets, strength):
+    """Put `LB Ambient` between the socket `closure` and the sockets `targets` that it feeds."""
+    shader = closure.node
     node = tree.nodes.new("ShaderNodeGroup")
     node.node_tree = ambient_group()
     node.name = node.label = AMBIENT_GROUP
     node[TAG] = AMBIENT_GROUP
-    node.parent = output.parent
-    node.location = output.location.x - 40, output.location.y + 200
-    tree.links.new(shader, node.inputs["Shader"])
-    tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+    node.parent = shader.parent
+    node.location = shader.location.x + shader.width + 20, shader.location.y
+    node.inputs["Strength"].default_value = strength
+    for name, source in AMBIENT_INPUTS[shader.type].items():
+        _imitate(tree, node.inputs[name], shader.inputs[source])
+    tree.links.new(closure, node.inputs["Shader"])
+    for target in targets:
+        tree.links.new(node.outputs["Shader"], target)
 
 
-def _link_color(tree, node, color):
-    """Give the ambient `node` the colour of the shader it is behind, or else `color`."""
-    for link in node.inputs["Color"].links:
-        tree.links.remove(link)
-    shader = _source(node.inputs["Shader"])
-    name = COLOR_INPUTS.get(shader.node.type) if shader else None
-    if name is None:
-        node.inputs["Color"].default_value = (*color, 1.0)
-        return
-    node.inputs["Color"].default_value = shader.node.inputs[name].default_value
-    texture = _source(shader.node.inputs[name])
-    if texture:
-        tree.links.new(texture, node.inputs["Color"])
+def _imitate(tree, socket, model):
+    """Give the input `socket` the value and the link of the input `model`."""
+    socket.default_value = model.default_value
+    source = _source(model)
+    if source:
+        tree.links.new(source, socket)
 
 
 def _plain_material():

@@ -15,6 +15,7 @@ from .ours import TAG, is_ours
 LIGHT_GRID = "lb_light"
 DENSITY_GRID = "density"
 CREATOR = "LB Lighting"
+RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
 STAMP = "lb_lighting:"  # keeps our metadata apart from OpenVDB's own keys (name, class, ...)
 
 # Cubic interpolation, the widest that Cycles has, reads two voxels away.
@@ -75,19 +76,21 @@ def is_baked_file(path):
         return False
 
 
-def show_volume(context, source_name, path):
-    """The Volume object that shows the file at `path` as the light of the object `source_name`.
+def show_volume(context, sources, path):
+    """The Volume object that shows the file at `path` as the light of the objects `sources`.
 
-    Made once for each source and used again by later bakes, each with a `fresh_path`.
+    Sources that had one keep it, and each later bake brings a `fresh_path`; two that had one
+    each now share the first. Call `forget` for those that an older bake had and this has not.
     """
-    ob = find_volume(context.scene, source_name) or _new_volume(context.scene, source_name)
-    ob.data.filepath = bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
+    scene = context.scene
+    older = [ob for ob in baked_volumes(scene) if any(s.get(RESULT) == ob for s in sources)]
+    ob = older[0] if older else _new_volume(scene, sources[0].name)
+    for other in older[1:]:
+        remove_baked(other)
+    for source in sources:
+        source[RESULT] = ob
+    ob.data.filepath = _stored_path(path)
     return ob
-
-
-def find_volume(scene, source_name):
-    """The Volume object that shows the light of the object `source_name`, or None."""
-    return next((ob for ob in baked_volumes(scene) if ob[TAG] == source_name), None)
 
 
 def baked_volumes(scene):
@@ -95,30 +98,40 @@ def baked_volumes(scene):
     return [ob for ob in scene.objects if ob.type == "VOLUME" and is_ours(ob)]
 
 
-def source_of(scene, ob):
-    """The object whose light the baked volume `ob` shows; None for any other object."""
-    return scene.objects.get(ob[TAG]) if ob in baked_volumes(scene) else None
+def sources_of(scene, baked):
+    """The objects in `scene` whose light the Volume object `baked` shows."""
+    return [ob for ob in scene.objects if ob.get(RESULT) == baked]
 
 
-def remove_baked(ob, delete_file):
-    """Remove a Volume object that `show_volume` made, with its datablock and our materials.
+def lost_sources(scene):
+    """The objects in `scene` that were lit, and whose light has since been removed."""
+    return [ob for ob in scene.objects if RESULT in ob and ob[RESULT] is None]
 
-    delete_file  remove its .vdb too, if it is ours
-    """
+
+def forget(source):
+    """The object `source` has no light any more."""
+    if RESULT in source:
+        del source[RESULT]
+
+
+def baked_path(ob):
+    """The path of the file that the baked Volume object shows."""
+    return Path(bpy.path.abspath(ob.data.filepath))
+
+
+def remove_baked(ob):
+    """Remove a Volume object that `show_volume` made, with its datablock and our materials."""
     volume = ob.data
-    path = Path(bpy.path.abspath(volume.filepath))
     materials = [material for material in volume.materials if material and is_ours(material)]
     bpy.data.objects.remove(ob)
     # The user may have put our data to use elsewhere; then it stays.
     for block in (volume, *materials):
         if not block.users:
             bpy.data.batch_remove([block])
-    if delete_file:
-        delete_baked_file(path)
 
 
 def delete_baked_file(path):
-    """Delete the file at `path` if `write_vdb` wrote it; OutputError if that is not allowed."""
+    """Delete the file at `path` if `write_vdb` wrote it; OutputError if that cannot be done."""
     if not is_baked_file(path):
         return
     try:
@@ -150,11 +163,18 @@ def require_writable(folder):
         ) from error
 
 
+def _stored_path(path):
+    """`path` as the .blend keeps it: relative to it, unless it is unsaved or on another drive."""
+    try:
+        return bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
+    except ValueError:
+        return str(path)
+
+
 def _new_volume(scene, source_name):
     volume = bpy.data.volumes.new(f"LB {source_name}")
-    volume[TAG] = source_name
     ob = bpy.data.objects.new(volume.name, volume)
-    ob[TAG] = source_name
+    volume[TAG] = ob[TAG] = "baked volume"
     scene.collection.objects.link(ob)
     return ob
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The suns and the sky of a Blender scene as transport lights."""
 
+import bpy
 import numpy as np
 
 from ..errors import LightError
@@ -11,32 +12,66 @@ from .shaders import Shader
 def scene_lights(scene, depsgraph):
     """[Sun | Sky]: every sun lamp that renders, instanced ones too, and the world's mean colour.
 
+    A sun counts where it is hidden in viewports only; of instances, those that viewports show.
+
     Raises LightError where nothing shines, or for a world or lamp whose nodes cannot be read.
     """
-    lights = [*_suns(scene, depsgraph), *_skies(scene.world)]
+    lights = [*_suns(depsgraph), *_skies(scene.world)]
     if not lights:
         raise LightError("The scene has no light; add a sun, or give the world a colour.")
     return lights
 
 
-def _suns(scene, depsgraph):
-    rendered = _rendered_objects(scene.collection)
-    for instance in depsgraph.object_instances:
-        ob = instance.object
-        base = (instance.parent if instance.is_instance else ob).original
-        if ob.type != "LIGHT" or ob.data.type != "SUN" or not instance.show_self:
-            continue
-        irradiance = _irradiance(ob.data)
-        if base in rendered and not ob.hide_render and np.any(irradiance):
-            yield Sun(tuple(-instance.matrix_world.to_3x3().col[2]), _scalar_if_grey(irradiance))
+def _suns(depsgraph):
+    rendered = _rendered_objects(depsgraph.view_layer.layer_collection)
+    instanced = [
+        _sun(instance.object.data, instance.matrix_world)
+        for instance in depsgraph.object_instances
+        if instance.is_instance and instance.show_self and _is_sun(instance.object)
+        if instance.parent.original in rendered and not instance.object.hide_render
+    ]
+    # These come last, because placing them may evaluate the scene anew.
+    plain = [
+        _sun(ob.evaluated_get(depsgraph).data, _world_matrix(ob, depsgraph))
+        for ob in rendered
+        if _is_sun(ob)
+    ]
+    return [sun for sun in instanced + plain if np.any(sun.irradiance)]
 
 
-def _rendered_objects(collection):
-    """The original objects in `collection` that are not hidden in renders."""
-    if collection.hide_render:
-        return set()
-    own = {ob for ob in collection.objects if not ob.hide_render}
-    return own.union(*map(_rendered_objects, collection.children))
+def _sun(lamp, matrix):
+    return Sun(tuple(-matrix.to_3x3().col[2]), _scalar_if_grey(_irradiance(lamp)))
+
+
+def _is_sun(ob):
+    return ob.type == "LIGHT" and ob.data.type == "SUN"
+
+
+def _rendered_objects(layer):
+    """{original object: None}, in order, of all in a layer collection that renders show."""
+    if layer.collection.hide_render:
+        return {}
+    shown = [] if layer.exclude else [ob for ob in layer.collection.objects if not ob.hide_render]
+    found = dict.fromkeys(shown)
+    for child in layer.children:
+        found |= _rendered_objects(child)
+    return found
+
+
+def _world_matrix(ob, depsgraph):
+    """The world matrix of `ob` at the current frame, whether viewports show it or not."""
+    evaluated = ob.evaluated_get(depsgraph)
+    if evaluated.is_evaluated:
+        return evaluated.matrix_world.copy()
+    # Blender places nothing that is hidden; a copy that is shown for a moment tells where it is.
+    twin = ob.copy()
+    twin.hide_viewport = False
+    depsgraph.scene.collection.objects.link(twin)
+    depsgraph.update()
+    matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
+    bpy.data.objects.remove(twin)
+    depsgraph.update()
+    return matrix
 
 
 def _irradiance(lamp):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..transport.medium import Optics
-from .shaders import Shader, resolve
+from .shaders import Shader, may_be_positive
 
 VOLUME_NODES = {
     "PRINCIPLED_VOLUME",
@@ -17,6 +17,10 @@ VOLUME_NODES = {
 }
 REFLECTING_NODES = {"BSDF_DIFFUSE", "BSDF_GLOSSY", "SUBSURFACE_SCATTERING"}
 LEAF_NODES = REFLECTING_NODES | {"BSDF_PRINCIPLED", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT"}
+EMISSION_INPUTS = {
+    "EMISSION": ["Strength"],
+    "PRINCIPLED_VOLUME": ["Emission Strength", "Blackbody Intensity"],
+}
 DEFAULT_REFLECTANCE = 0.8  # of a surface without a material, as Cycles renders it
 
 
@@ -65,6 +69,13 @@ def grey(optics):
     return Optics(*(float(v[0]) for v in values))
 
 
+def tinted(optics, color):
+    """`optics` that absorb all but `color`, (3,) of 0 to 1, of what they scatter."""
+    scattered = np.multiply(optics.sigma_s, color)
+    absorbed = np.add(optics.sigma_a, np.subtract(optics.sigma_s, scattered))
+    return grey(Optics(tuple(scattered), tuple(absorbed), optics.g))
+
+
 def volume_optics(material):
     """The `VolumeOptics` of a material, or None where it has no volume.
 
@@ -96,8 +107,21 @@ def has_surface(material):
     """Whether a surface is rendered; without a material there is a plain one."""
     if material is None:
         return True
-    output = material.node_tree.get_output_node("CYCLES")
-    return output is not None and resolve(output.inputs["Surface"])[0].is_output
+    return bool(Shader(material).reaching("Surface"))
+
+
+def has_volume(material):
+    """Whether a volume is rendered, be it one that `volume_optics` can read or not."""
+    return material is not None and bool(Shader(material).reaching("Volume"))
+
+
+def volume_shines(material):
+    """Whether the volume of a material makes light itself."""
+    return material is not None and any(
+        may_be_positive(closure, name)
+        for closure in Shader(material).reaching("Volume")
+        for name in EMISSION_INPUTS.get(closure.node.type, ())
+    )
 
 
 def leaf_optics(material):

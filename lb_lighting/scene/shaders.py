@@ -29,6 +29,8 @@ class Shader:
     def __init__(self, owner, error=SceneError):
         self.owner = owner
         self.error = error
+        # A preset stands in for a material, but not for a light.
+        self.or_preset = ", or choose a preset" if error is SceneError else ""
 
     def closures(self, output, known, ignored=()):
         """[Closure] that reach the socket `output` of the active output node.
@@ -40,6 +42,11 @@ class Shader:
         if node is None:
             return []
         return self._closures(node.inputs[output], (), 1.0, known, ignored)
+
+    def reaching(self, output):
+        """[Closure] of any type that may reach the socket `output`, however they are mixed."""
+        node = self.owner.node_tree.get_output_node("CYCLES")
+        return list(_reaching(node.inputs[output], ())) if node else []
 
     def color(self, closure, name):
         """(3,): the input `name` of a closure, averaged where an image feeds it."""
@@ -79,7 +86,7 @@ class Shader:
         if node.type not in known:
             raise self.error(
                 f"'{self.owner.name}' uses the node '{node.bl_label}', which cannot be converted; "
-                "replace it, or choose a preset."
+                f"replace it{self.or_preset}."
             )
         return [Closure(node, weight, groups)]
 
@@ -96,7 +103,7 @@ class Shader:
             return self._image_average(socket)
         raise self.error(
             f"'{self.owner.name}' takes a value from the node '{socket.node.bl_label}', which has "
-            "no single colour; use a plain value or an image, or choose a preset."
+            f"no single colour; use a plain value or an image{self.or_preset}."
         )
 
     def _image_average(self, socket):
@@ -158,6 +165,13 @@ def resolve(socket, groups=()):
     return socket, groups
 
 
+def may_be_positive(closure, name):
+    """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
+    socket, _groups = resolve(closure.node.inputs[name], closure.groups)
+    computed = socket.is_output and socket.node.type != "VALUE"
+    return computed or socket.default_value > 0
+
+
 def linear_pixels(image):
     """(height, width, 4) float32, linear, from the bottom up; (0, 0, 4) if it is not loaded."""
     pixels = np.empty(len(image.pixels), np.float32)
@@ -183,6 +197,18 @@ def _sphere_average(pixels):
 def _twin(sockets, socket):
     """The one of `sockets` that stands for `socket` on the other side of a group's wall."""
     return next(s for s in sockets if s.identifier == socket.identifier)
+
+
+def _reaching(socket, groups):
+    socket, groups = resolve(socket, groups)
+    if not socket.is_output:
+        return
+    if socket.node.type not in {"ADD_SHADER", "MIX_SHADER"}:
+        yield Closure(socket.node, 1.0, groups)
+        return
+    for shader in socket.node.inputs:
+        if shader.type == "SHADER":
+            yield from _reaching(shader, groups)
 
 
 def _weighted(closures, factor):

@@ -4,7 +4,9 @@
 import numpy as np
 
 from ..errors import SceneError
-from .volumes import resample_array
+from .volumes import box_bounds, resample_array, world_matrix
+
+SCALAR_GRIDS = ("density", "flame", "temperature")
 
 
 def find_domain_settings(ob):
@@ -15,45 +17,56 @@ def find_domain_settings(ob):
     return None
 
 
-def smoke_grids(ob, depsgraph, domain):
-    """{name: values on the lattice of `domain`} of the simulation at the current frame.
+def smoke_grid(ob, depsgraph, domain, name):
+    """(nx, ny, nz) float32: a grid of the simulation at the current frame, on the lattice.
 
-    ob  the original object that is the fluid domain
+    ob    the original object that is the fluid domain
+    name  one of SCALAR_GRIDS; its values stay in the simulation's own units
 
-    "density", "flame" and "temperature" are (nx, ny, nz) and "color" is (3, nx, ny, nz), all
-    float32 and in the simulation's own units; all but the density only where they are simulated.
-    Raises SceneError for an object that is no gas domain, or that is not simulated yet.
+    Raises SceneError for an object that is no gas domain, that is not simulated yet, or that does
+    not simulate the grid.
     """
     evaluated, settings = _simulated(ob, depsgraph)
-    resolution = tuple(settings.domain_resolution)
+    known = [n for n in SCALAR_GRIDS if len(getattr(settings, f"{n}_grid"))]
+    if name not in known:
+        raise SceneError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(known)}.")
+    values = _cells(getattr(settings, f"{name}_grid"), 1, settings.domain_resolution)[..., 0]
     # With an adaptive domain the evaluated box is the part that is being simulated.
     box = np.array(evaluated.bound_box)
-    corner, size = box.min(axis=0), np.ptp(box, axis=0)
+    # Grids of the noise are finer, so each brings its own number of cells.
+    cell = np.ptp(box, axis=0) / values.shape
+    to_object = np.diag([*cell, 1.0])
+    to_object[:3, 3] = box.min(axis=0) + cell / 2
+    return resample_array(values, world_matrix(ob, depsgraph) @ to_object, domain)
 
-    def on_lattice(values):
-        """Grids of the noise are finer, so each brings its own number of cells."""
-        cell = size / values.shape
-        to_object = np.diag([*cell, 1.0])
-        to_object[:3, 3] = corner + cell / 2
-        return resample_array(values, np.array(evaluated.matrix_world) @ to_object, domain)
 
-    grids = {}
-    for name in ("density", "flame", "temperature"):
-        cells = _cells(getattr(settings, f"{name}_grid"), 1, resolution)
-        if cells is not None:
-            grids[name] = on_lattice(cells[..., 0])
-    colors = _cells(settings.color_grid, 4, resolution)
-    if colors is not None:
-        grids["color"] = _plain_color(*(on_lattice(colors[..., i]) for i in range(4)))
-    return grids
+def burns(ob, depsgraph):
+    """Whether the simulation has a flame at the current frame."""
+    _evaluated, settings = _simulated(ob, depsgraph)
+    flame = _cells(settings.flame_grid, 1, settings.domain_resolution)
+    return flame is not None and bool(flame.any())
+
+
+def hue(ob, depsgraph):
+    """(3,): the mean colour of the smoke, its largest component 1; black smoke has none.
+
+    Only the hue is the user's: the simulation lets a colour fade in, so that white smoke too has
+    less than 1 (.65 after 6 frames, .57 after 30).
+    """
+    _evaluated, settings = _simulated(ob, depsgraph)
+    # The grid holds colour times density, so the sum is weighed by that.
+    colors = _cells(settings.color_grid, 4, settings.domain_resolution)
+    if colors is None:
+        return np.ones(3)
+    total = colors[..., :3].sum(axis=(0, 1, 2), dtype=float)
+    return np.divide(total, total.max(), out=np.zeros(3), where=total.max() > 0)
 
 
 def world_bounds(ob, depsgraph):
     """(lower, upper), each (3,) m: the box around the simulated domain in world space."""
     evaluated, _settings = _simulated(ob, depsgraph)
-    matrix = np.array(evaluated.matrix_world)
-    corners = np.array(evaluated.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
-    return corners.min(axis=0), corners.max(axis=0)
+    box = np.array(evaluated.bound_box)
+    return box_bounds(box.min(axis=0), box.max(axis=0), world_matrix(ob, depsgraph))
 
 
 def _simulated(ob, depsgraph):
@@ -80,9 +93,3 @@ def _cells(grid, channels, resolution):
     fineness = round((len(grid) / channels / np.prod(resolution)) ** (1 / 3))
     nx, ny, nz = np.multiply(resolution, fineness)
     return values.reshape(nz, ny, nx, channels).transpose(2, 1, 0, 3)
-
-
-def _plain_color(red, green, blue, density):
-    """(3, nx, ny, nz): colour divided by density, as Cycles reads it; 0 where no smoke is."""
-    color = np.stack([red, green, blue])
-    return np.divide(color, density, out=np.zeros_like(color), where=density > 0)

@@ -5,14 +5,22 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
-from mathutils import Vector
 
 from ..errors import SceneError
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
-from .materials import has_surface, leaf_optics, volume_optics
+from .materials import (
+    grey,
+    has_surface,
+    has_volume,
+    leaf_optics,
+    tinted,
+    volume_optics,
+    volume_shines,
+)
 
 FROM_MATERIAL = "MATERIAL"
+ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
 
 
@@ -22,6 +30,11 @@ class Share:
 
     density: np.ndarray
     optics: Optics
+
+    @property
+    def sigma_t(self):
+        """1/m, the extinction coefficient at density 1 of the band that has most."""
+        return float(np.max(np.add(self.optics.sigma_s, self.optics.sigma_a)))
 
 
 @dataclass
@@ -40,14 +53,39 @@ class Reader:
     grid: str
     notes: list = field(default_factory=list)
 
-    def volume_optics(self, ob, material):
-        """The `VolumeOptics` to use, or None where a preset stands in for the material."""
+    def volume_optics(self, ob, materials, fallback):
+        """The first `VolumeOptics` of `materials`, or None where a preset stands in for them.
+
+        fallback  name of that preset, where none is chosen
+        """
         if self.medium != FROM_MATERIAL:
             return None
-        found = volume_optics(material) if material else None
-        if found is None:
-            self.notes.append(f"'{ob.name}' has no volume material; the preset stands in.")
-        return found
+        found = [optics for m in materials if m and (optics := volume_optics(m))]
+        if not found:
+            self.notes.append(
+                f"'{ob.name}' has no volume material; the preset '{fallback}' stands in."
+            )
+            return None
+        if any(optics != found[0] for optics in found):
+            self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
+        return found[0]
+
+    def tell_emission(self, ob, materials):
+        """Add a note where `ob`, which a lit volume may replace, makes light itself."""
+        if any(map(volume_shines, materials)):
+            self.notes.append(
+                f"'{ob.name}' shines by itself; Replace leaves that out, Add keeps it."
+            )
+
+    def mixture(self, shares):
+        """`mixture` of `shares`, with a note where it is not exact."""
+        mixed = mixture(shares)
+        if np.ptp(_per_extinction(_present(shares)), axis=1).max() > ALIKE:
+            self.notes.append(
+                "The materials differ in colour or in how they scatter; the light takes their "
+                "mean, weighed by how dense each is."
+            )
+        return mixed
 
     def preset(self, fallback, length):
         """The chosen preset (or `fallback`), scaled to `optical_depth` over `length` metres."""
@@ -59,6 +97,9 @@ def open_sources(objects, reader):
     """The sources that the original `objects` are; SceneError names one that is none."""
     if not objects:
         raise SceneError("Nothing is selected; select a volume, a smoke domain or a mesh.")
+    for ob in objects:
+        if not ob.visible_get(view_layer=reader.depsgraph.view_layer):
+            raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
     surfaces = [ob for ob in objects if _is_surface(ob)]
     parts = defaultdict(list)
     for part in voxelize.world_parts(reader.depsgraph, surfaces):
@@ -75,7 +116,10 @@ def _open(ob, parts, reader):
         return VolumeSource(ob, reader)
     if smoke.find_domain_settings(ob):
         return SmokeSource(ob, reader)
-    if not _is_surface(ob) or not any(len(part.triangles) for part in parts):
+    has_faces = any(len(part.triangles) for part in parts)
+    if not has_faces and volumes.has_volume(ob, reader.depsgraph):
+        return VolumeSource(ob, reader)
+    if not has_faces:
         raise SceneError(
             f"'{ob.name}' has neither a volume nor faces; "
             "select a volume, a smoke domain or a mesh."
@@ -88,17 +132,18 @@ def _surface_role(ob, parts):
     role = ob.lb_lighting.role
     if role != "AUTO":
         return role
-    filled = any(part.material and volume_optics(part.material) for part in parts)
-    return "SOLID" if filled else "FOLIAGE"
+    return "SOLID" if any(has_volume(part.material) for part in parts) else "FOLIAGE"
 
 
 class _Source:
     """ob, bounds ((lower, upper) in m), and what they put on a lattice.
 
-    is_volume  whether its light is shown by a lit volume in its place, or on its surface
+    is_volume    whether a lit volume in its place shows its light
+    shows_light  whether its surface shows its light
     """
 
     is_volume = False
+    shows_light = False
 
     def shares(self, domain):
         """[Share] on the lattice of `domain`."""
@@ -109,59 +154,79 @@ class _Source:
         return None
 
 
-class VolumeSource(_Source):
-    """A Volume object: one grid of it."""
+class _GridSource(_Source):
+    """A density grid that a volume material, or the preset for a cloud, shows."""
 
     is_volume = True
+    preset = "cloud"
+
+    def __init__(self, ob, reader, material):
+        self.ob, self.reader = ob, reader
+        self.material = reader.volume_optics(ob, [material], self.preset)
+        reader.tell_emission(ob, [material])
+
+    @property
+    def grid_name(self):
+        named = self.material.density_attribute if self.material else None
+        return self.reader.grid or named or "density"
+
+    def share(self, density, domain):
+        if self.material is None:
+            return Share(density, self.reader.preset(self.preset, _longest(domain)))
+        if self.material.density_attribute is None and not self.reader.grid:
+            density = (density > 0).astype(np.float32)  # a homogeneous material fills the grid
+        return Share(density, self.material.optics)
+
+
+class VolumeSource(_GridSource):
+    """A Volume object, or one whose geometry nodes make a volume: one grid of it."""
 
     def __init__(self, ob, reader):
-        self.ob, self.reader = ob, reader
-        self.material = reader.volume_optics(ob, ob.active_material)
-        named = self.material.density_attribute if self.material else None
-        self.grid = volumes.load_grid(ob, reader.depsgraph, reader.grid or named or "density")
-        self.matrix = ob.evaluated_get(reader.depsgraph).matrix_world
+        super().__init__(ob, reader, volumes.volume_material(ob, reader.depsgraph))
+        self.grid = volumes.load_grid(ob, reader.depsgraph, self.grid_name)
+        self.matrix = volumes.world_matrix(ob, reader.depsgraph)
         self.bounds = volumes.world_bounds(self.grid, self.matrix)
 
     def shares(self, domain):
         density = volumes.resample(self.grid, self.matrix, domain)
-        if self.material and self.ob.data.render.space == "OBJECT":
-            # A material's coefficients are then per unit of the object's own space.
-            density /= (self.matrix.to_3x3() @ Vector((1, 1, 1)).normalized()).length
-        return [_volume_share(density, self, domain)]
+        if self.material and volumes.is_in_object_space(self.ob, self.reader.depsgraph):
+            density /= np.linalg.norm(self.matrix[:3, :3].sum(axis=1)) / np.sqrt(3)
+        return [self.share(density, domain)]
 
 
-class SmokeSource(_Source):
+class SmokeSource(_GridSource):
     """The domain of a gas simulation, at the current frame."""
 
-    is_volume = True
-
     def __init__(self, ob, reader):
-        self.ob, self.reader = ob, reader
-        self.material = reader.volume_optics(ob, ob.active_material)
+        super().__init__(ob, reader, ob.active_material)
         self.bounds = smoke.world_bounds(ob, reader.depsgraph)
+        if smoke.burns(ob, reader.depsgraph):
+            reader.notes.append(f"The fire of '{ob.name}' does not light its smoke.")
 
     def shares(self, domain):
-        grids = smoke.smoke_grids(self.ob, self.reader.depsgraph, domain)
-        named = self.material.density_attribute if self.material else None
-        name = self.reader.grid or named or "density"
-        if name not in grids:
-            known = ", ".join(grids)
-            raise SceneError(f"'{self.ob.name}' has no grid '{name}'; choose one of: {known}.")
-        if "flame" in grids and grids["flame"].any():
-            self.reader.notes.append(
-                f"The fire of '{self.ob.name}' shines in the render, but does not light its smoke."
-            )
-        return [_volume_share(grids[name], self, domain)]
+        depsgraph = self.reader.depsgraph
+        density = smoke.smoke_grid(self.ob, depsgraph, domain, self.grid_name)
+        share = self.share(density, domain)
+        if self.material is None:  # nor does the preset know the colour of the smoke
+            share = Share(share.density, tinted(share.optics, smoke.hue(self.ob, depsgraph)))
+        return [share]
 
 
 class _SurfaceSource(_Source):
     def __init__(self, ob, parts, reader):
         self.ob, self.parts, self.reader = ob, parts, reader
         self.bounds = voxelize.world_bounds(parts)
+        if self.shows_light and ob.type == "MESH" and any(part.instanced for part in parts):
+            reader.notes.append(
+                f"The instances of '{ob.name}' shade and colour the light, but show none of it "
+                "themselves; make them real to light them."
+            )
 
 
 class FoliageSource(_SurfaceSource):
     """Leaves, or any surface that lets light through between its pieces."""
+
+    shows_light = True
 
     def shares(self, domain):
         return [self._share(part, domain) for part in self.parts if len(part.triangles)]
@@ -177,17 +242,28 @@ class FoliageSource(_SurfaceSource):
 class SolidSource(_SurfaceSource):
     """A closed body of a translucent material."""
 
+    preset = "pmma"
+
+    def __init__(self, ob, parts, reader):
+        super().__init__(ob, parts, reader)
+        materials = [part.material for part in parts]
+        self.material = reader.volume_optics(ob, materials, self.preset)
+        if self.is_volume:
+            reader.tell_emission(ob, materials)
+
     @property
     def is_volume(self):
-        return not any(has_surface(part.material) for part in self.parts)
+        return not self.shows_light
+
+    @property
+    def shows_light(self):
+        return any(has_surface(part.material) for part in self.parts)
 
     def shares(self, domain):
-        material = next((part.material for part in self.parts if part.material), None)
-        found = self.reader.volume_optics(self.ob, material)
         fraction = voxelize.solid_fraction(_triangles(self.parts), domain)
-        return [
-            Share(fraction, found.optics if found else self.reader.preset("pmma", _longest(domain)))
-        ]
+        if self.material is None:
+            return [Share(fraction, self.reader.preset(self.preset, _longest(domain)))]
+        return [Share(fraction, self.material.optics)]
 
 
 class OccluderSource(_SurfaceSource):
@@ -203,37 +279,51 @@ _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": Occlude
 def mixture(shares):
     """(density (nx, ny, nz), Optics): the shares as one material, which the lattice needs.
 
-    The density is the sum; the coefficients are means, weighed by how much there is of each
-    share, so they are exact where all shares have the same optics. SceneError for no density.
+    Shares of the same optics keep them, and their densities are summed. Otherwise the density is
+    the extinction coefficient, 1/m, of each share's densest band, summed, and the optics are the
+    shares' per such extinction, averaged by how much of it there is of each: so every share keeps
+    its own extinction, and only albedo and g are means. SceneError for no density.
     """
-    mass = np.array([share.density.sum(dtype=float) for share in shares])
-    if not mass.sum():
+    shares = _present(shares)
+    if not shares:
         raise SceneError(
-            "There is no density to light here; check the grid, the frame and the region."
+            "There is no density to light here; check the grid, the frame, the region and the "
+            "material."
         )
-    columns = [
-        np.broadcast_arrays(*map(np.atleast_1d, (s.optics.sigma_s, s.optics.sigma_a, s.optics.g)))
-        for s in shares
-    ]
-    bands = max(len(column[0]) for column in columns)
-    sigma_s, sigma_a, g = (
-        np.array([np.broadcast_to(column[i], bands) for column in columns], float) for i in range(3)
-    )
-    weight = mass[:, None] / mass.sum()
-    scattering = (weight * sigma_s).sum(axis=0)
+    if not np.ptp(_coefficients(shares), axis=1).any():
+        return _total(share.density for share in shares), shares[0].optics
+    density = _total(share.density * share.sigma_t for share in shares)
+    weight = np.array([share.density.sum(dtype=float) * share.sigma_t for share in shares])
+    weight /= weight.sum()
+    sigma_s, sigma_a, g = _per_extinction(shares)
+    scattering = weight @ sigma_s
     mean_g = np.divide(
-        (weight * sigma_s * g).sum(axis=0), scattering, out=np.zeros(bands), where=scattering > 0
+        weight @ (sigma_s * g), scattering, out=np.zeros_like(scattering), where=scattering > 0
     )
-    density = np.sum([share.density for share in shares], axis=0, dtype=np.float32)
-    return density, Optics(tuple(scattering), tuple((weight * sigma_a).sum(axis=0)), tuple(mean_g))
+    return density, grey(Optics(tuple(scattering), tuple(weight @ sigma_a), tuple(mean_g)))
 
 
-def _volume_share(density, source, domain):
-    if source.material is None:
-        return Share(density, source.reader.preset("cloud", _longest(domain)))
-    if source.material.density_attribute is None and not source.reader.grid:
-        density = (density > 0).astype(np.float32)  # a homogeneous material fills the grid
-    return Share(density, source.material.optics)
+def _present(shares):
+    """Those of `shares` that light meets at all."""
+    return [share for share in shares if share.sigma_t and share.density.any()]
+
+
+def _total(densities):
+    return np.sum(list(densities), axis=0, dtype=np.float32)
+
+
+def _coefficients(shares):
+    """(3, shares, bands): sigma_s, sigma_a and g."""
+    values = [v for s in shares for v in (s.optics.sigma_s, s.optics.sigma_a, s.optics.g)]
+    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
+    return np.reshape(columns, (len(shares), 3, -1)).swapaxes(0, 1)
+
+
+def _per_extinction(shares):
+    """`_coefficients`, with sigma_s and sigma_a per unit of each share's `sigma_t`."""
+    sigma_s, sigma_a, g = _coefficients(shares)
+    sigma_t = np.array([[share.sigma_t] for share in shares])
+    return np.stack([sigma_s / sigma_t, sigma_a / sigma_t, g])
 
 
 def _scaled(optics, largest):

@@ -36,16 +36,45 @@ def load_grid(ob, depsgraph, name="density"):
         return openvdb.read(path, name)
 
 
+def has_volume(ob, depsgraph):
+    """Whether the original object `ob` shows a volume, its own or one that its nodes make."""
+    return _volume_geometry(ob, depsgraph) is not None
+
+
+def volume_material(ob, depsgraph):
+    """The material that the volume of `ob` has by its slot or its nodes, or None."""
+    geometry = _volume_geometry(ob, depsgraph)  # it owns its volume and has to outlive it
+    made = [] if ob.type == "VOLUME" else geometry.volume.materials
+    return made[0].original if made and made[0] else ob.active_material
+
+
+def is_in_object_space(ob, depsgraph):
+    """Whether a material's coefficients are per unit of the object's own space, not per m."""
+    geometry = _volume_geometry(ob, depsgraph)
+    return geometry.volume.render.space == "OBJECT"
+
+
+def world_matrix(ob, depsgraph):
+    """(4, 4): the evaluated object's space to world space; SceneError where that is flat."""
+    matrix = np.array(ob.evaluated_get(depsgraph).matrix_world, np.float32)
+    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise SceneError(f"'{ob.name}' is scaled to nothing along an axis; give it a size.")
+    return matrix.astype(float)
+
+
+def box_bounds(lower, upper, matrix):
+    """(lower, upper), each (3,): the box around the box from `lower` to `upper` under `matrix`."""
+    corners = _apply(matrix, np.array(list(product(*zip(lower, upper, strict=True)))))
+    return corners.min(axis=0), corners.max(axis=0)
+
+
 def world_bounds(grid, matrix_world):
     """(lower, upper), each (3,) m: the box around the active voxels of `grid` in world space.
 
     matrix_world  (4, 4), of the object that shows the grid
     """
     lower, upper = _active_box(grid)
-    box = np.array(list(product(*zip(lower - 0.5, upper + 0.5, strict=True))))
-    matrix = np.asarray(matrix_world) @ _index_to_object(grid)
-    corners = box @ matrix[:3, :3].T + matrix[:3, 3]
-    return corners.min(axis=0), corners.max(axis=0)
+    return box_bounds(lower - 0.5, upper + 0.5, np.asarray(matrix_world) @ _index_to_object(grid))
 
 
 def resample(grid, matrix_world, domain):
@@ -56,12 +85,12 @@ def resample(grid, matrix_world, domain):
     Raises SceneError for values that are negative or not finite.
     """
     matrix = np.asarray(matrix_world) @ _index_to_object(grid)
-    corners = np.array(list(product(*zip((0, 0, 0), domain.shape, strict=True)))) - 0.5
-    corners = _apply(np.linalg.inv(matrix) @ _lattice_to_world(domain), corners)
+    to_grid = np.linalg.inv(matrix) @ _lattice_to_world(domain)
+    lower, upper = box_bounds((-0.5,) * 3, np.subtract(domain.shape, 0.5), to_grid)
     active_lower, active_upper = _active_box(grid)
     # One voxel more, because a value reaches as far as the next voxel's centre.
-    lower = np.maximum(active_lower, np.floor(corners.min(axis=0)) - 1).astype(int)
-    upper = np.minimum(active_upper, np.ceil(corners.max(axis=0)) + 1).astype(int)
+    lower = np.maximum(active_lower, np.floor(lower) - 1).astype(int)
+    upper = np.minimum(active_upper, np.ceil(upper) + 1).astype(int)
     channels = (3,) if isinstance(grid.background, tuple) else ()
     values = np.empty((*np.maximum(upper - lower + 1, 0), *channels), np.float32)
     if values.size:
@@ -99,13 +128,19 @@ def resample_array(values, index_to_world, domain):
     return result
 
 
-def _loaded(ob, depsgraph):
-    """(geometry, grids); the geometry owns the grids and has to outlive them."""
+def _volume_geometry(ob, depsgraph):
+    """The evaluated geometry of `ob` if there is a volume in it, or None."""
     try:
         geometry = ob.evaluated_get(depsgraph).evaluated_geometry()
     except TypeError:  # empties, lamps and the like
-        geometry = None
-    if geometry is None or geometry.volume is None:
+        return None
+    return geometry if geometry.volume is not None else None
+
+
+def _loaded(ob, depsgraph):
+    """(geometry, grids); the geometry owns the grids and has to outlive them."""
+    geometry = _volume_geometry(ob, depsgraph)
+    if geometry is None:
         raise SceneError(f"'{ob.name}' has no volume; choose a Volume object or one that makes it.")
     grids = geometry.volume.grids
     if not grids.load():

@@ -16,6 +16,7 @@ SAMPLES_PER_VOXEL = 3  # along an edge
 # Level sets in lattices this many times finer than the domain. A hole is closed once a voxel is
 # larger than it, so the coarse ones are for meshes that are not quite tight.
 REFINEMENTS = (2, 1, 1 / 2, 1 / 4)
+FLAT = 1e-6  # volume over extent cubed: what float32 makes of none
 LEAKED = -1e-3  # voxels: a level set that leaks has no distance below zero but rounding
 
 
@@ -26,11 +27,13 @@ class Part:
     triangles  (n, 3, 3) m, float64, world space: triangle, corner, coordinate
     material   bpy.types.Material or None
     object     the original object that they come from, or that instances them
+    instanced  whether it instances them
     """
 
     triangles: np.ndarray
     material: bpy.types.Material | None
     object: bpy.types.Object
+    instanced: bool
 
 
 def world_parts(depsgraph, objects):
@@ -38,6 +41,7 @@ def world_parts(depsgraph, objects):
 
     That is their own mesh (or that of a curve, text or metaball) with modifiers, and everything
     that they instance: geometry nodes, particles, collections, vertices and faces.
+    Raises SceneError for vertices that are not finite.
     """
     chosen = set(objects)
     meshes = {}
@@ -48,13 +52,16 @@ def world_parts(depsgraph, objects):
         if source not in chosen or not instance.show_self or ob.type != "MESH":
             continue
         materials = _materials(ob)
-        key = source, ob.data.as_pointer(), materials
+        key = source, ob.data.as_pointer(), materials, instance.is_instance
         if key not in meshes:
             meshes[key] = _triangles_by_slot(ob.data, len(materials))
         matrices[key].append([tuple(row) for row in instance.matrix_world])
     return [
-        Part(_placed(triangles, np.array(matrices[key])), key[2][slot], key[0])
+        Part(
+            _placed(triangles, np.array(matrices[key]), source), materials[slot], source, instanced
+        )
         for key, slots in meshes.items()
+        for source, _mesh, materials, instanced in [key]
         for slot, triangles in slots
     ]
 
@@ -117,7 +124,12 @@ def solid_fraction(triangles, domain):
         fraction, closed = _level_set_fraction(triangles, domain, refinement)
         if closed and fraction.sum() * domain.voxel_size**3 >= least:
             return fraction
-    raise SceneError("The mesh is not closed; fill its holes, or light it as foliage instead.")
+    if _enclosed_volume(triangles) <= FLAT * np.ptp(triangles, axis=(0, 1)).max() ** 3:
+        raise SceneError("The mesh is flat; give it a thickness, or light it as foliage instead.")
+    raise SceneError(
+        "The mesh is not closed, or it is thinner than a voxel; fill its holes, raise the "
+        "resolution, or light it as foliage instead."
+    )
 
 
 def _materials(ob):
@@ -143,10 +155,13 @@ def _read(collection, attribute, dtype, width):
     return values.reshape(-1, width)
 
 
-def _placed(triangles, matrices):
-    """`triangles` (n, 3, 3) once for each of the `matrices` (k, 4, 4): (k n, 3, 3)."""
+def _placed(triangles, matrices, ob):
+    """`triangles` (n, 3, 3) of `ob` once for each of the `matrices` (k, 4, 4): (k n, 3, 3)."""
     rotated = np.einsum("kij,nj->kni", matrices[:, :3, :3], triangles.reshape(-1, 3))
-    return (rotated + matrices[:, None, :3, 3]).reshape(-1, 3, 3)
+    placed = (rotated + matrices[:, None, :3, 3]).reshape(-1, 3, 3)
+    if not np.all(np.isfinite(placed)):
+        raise SceneError(f"'{ob.name}' has vertices that are not finite; repair or delete them.")
+    return placed
 
 
 def _batches(triangles, size):

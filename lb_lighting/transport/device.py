@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ..errors import DeviceError
 
-KERNELS = Path(__file__).parent.parent / "kernels"
+_SOURCES = Path(__file__).parent.parent / "kernels"
 _BEST_FIRST = ("GPU", "ACCELERATOR", "CPU")
 
 # Denormals cut the speed to a twentieth on CPUs, and no picture sees them.
@@ -35,6 +35,11 @@ class Device:
     kind: str
     memory: int
     largest_buffer: int
+
+    @property
+    def shares_memory(self):
+        """Whether the arrays of the host take from the same memory."""
+        return self.kind in ("CPU", "NumPy")
 
     @property
     def label(self):
@@ -123,29 +128,37 @@ def choose(wanted=None):
     raise DeviceError(f"There is no device called '{wanted}'; choose one of: {known}.")
 
 
-def require_memory(device, shape, buffers):
+def require_memory(device, shape, plan):
     """Refuse a lattice that does not fit, before anything is allocated.
 
-    buffers  function of a shape that returns {what: bytes}
-    Returns the bytes that the lattice takes; DeviceError says the largest resolution that fits.
+    plan  function of a shape that returns ({what: bytes} of buffers on the device, bytes of
+          arrays on the host); the second counts where the device shares the host's memory
+    Returns the bytes to be had; DeviceError says the largest resolution that fits.
     """
-    if _fits(device, buffers(shape)):
-        return sum(buffers(shape).values())
+    if _fits(device, *plan(shape)):
+        return _total(device, *plan(shape))
     low, high = 0, max(shape)
     while high - low > 1:  # the largest edge that fits lies in [low, high)
         resolution = (low + high) // 2
         scaled = [max(1, ceil(n * resolution / max(shape))) for n in shape]
-        low, high = (resolution, high) if _fits(device, buffers(scaled)) else (low, resolution)
+        low, high = (resolution, high) if _fits(device, *plan(scaled)) else (low, resolution)
     raise DeviceError(
-        f"{' x '.join(map(str, shape))} voxels need {sum(buffers(shape).values()) / 2**30:.1f} "
+        f"{' x '.join(map(str, shape))} voxels need {_total(device, *plan(shape)) / 2**30:.1f} "
         f"GiB, and {device.label} can take {device.memory / 2**30:.1f} GiB "
         f"({device.largest_buffer / 2**30:.1f} GiB in one piece); "
         f"the largest resolution that fits is {low}."
     )
 
 
-def _fits(device, buffers):
-    return max(buffers.values()) <= device.largest_buffer and sum(buffers.values()) <= device.memory
+def _total(device, buffers, arrays):
+    return sum(buffers.values()) + (arrays if device.shares_memory else 0)
+
+
+def _fits(device, buffers, arrays):
+    return (
+        max(buffers.values()) <= device.largest_buffer
+        and _total(device, buffers, arrays) <= device.memory
+    )
 
 
 @cache
@@ -181,7 +194,7 @@ def program(device, source, defines):
         with warnings.catch_warnings():
             # Drivers chat about how well they optimized; errors come as exceptions.
             warnings.simplefilter("ignore", cl.CompilerWarning)
-            return cl.Program(context(device), (KERNELS / source).read_text()).build(options)
+            return cl.Program(context(device), (_SOURCES / source).read_text()).build(options)
     except cl.RuntimeError as error:
         raise DeviceError(
             f"{device.label} cannot build {source}; update its driver or choose another device. "

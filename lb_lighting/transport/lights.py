@@ -26,6 +26,11 @@ class Sun:
             raise LightError(f"A sun needs a direction of three numbers; it has {self.direction}.")
         _check_energy(self.irradiance, "irradiance of a sun")
 
+    @property
+    def spectrum(self):
+        """The irradiance, scalar or (bands,)."""
+        return self.irradiance
+
 
 @dataclass(frozen=True)
 class Sky:
@@ -40,6 +45,11 @@ class Sky:
     def __post_init__(self):
         if not callable(self.radiance):
             _check_energy(self.radiance, "radiance of the sky")
+
+    @property
+    def spectrum(self):
+        """The radiance, scalar or (bands,), or the function that it is."""
+        return self.radiance
 
     def towards(self, direction):
         """The radiance, W/(m^2 sr), that arrives from `direction` ((3,), pointing at the sky)."""
@@ -65,6 +75,11 @@ class PointLight:
         if len(self.position) != 3 or not np.all(np.isfinite(self.position)):
             raise LightError(f"A point light needs a position; it has {self.position}.")
         _check_energy(self.power, "power of a point light")
+
+    @property
+    def spectrum(self):
+        """The power, scalar or (bands,)."""
+        return self.power
 
 
 def by_band(value, bands):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import MediumError
 
+LARGEST = float(np.finfo(np.float32).max)  # of any quantity: devices compute in float32
 SMALLEST_EDGE = 3  # voxels: a boundary node on either side and one node between them
 
 
@@ -36,7 +37,8 @@ class Domain:
         Raises MediumError for an empty box or too low a resolution.
         """
         lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-        extent = upper - lower
+        with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
+            extent = upper - lower
         if not np.all(np.isfinite(extent)) or np.any(extent < 0) or extent.max() == 0:
             raise MediumError("The region to light has no extent; select something with a size.")
         if resolution < 2 * padding + SMALLEST_EDGE:
@@ -48,7 +50,7 @@ class Domain:
         # The tolerance keeps rounding from adding a voxel to an edge that divides evenly.
         inner = np.maximum(1, np.ceil(extent / voxel_size - 1e-6)).astype(int)
         shape = inner + 2 * padding
-        origin = (lower + upper) / 2 - shape * voxel_size / 2
+        origin = lower / 2 + upper / 2 - shape * voxel_size / 2
         return cls(tuple(map(float, origin)), voxel_size, tuple(map(int, shape)))
 
     @property
@@ -119,8 +121,11 @@ class Medium:
     ):
         self.density = _grid(density, "density")
         self.voxel_size = float(voxel_size)
-        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0):
-            raise MediumError(f"The voxel size must be positive; it is {voxel_size} m.")
+        if not 0 < self.voxel_size <= LARGEST:
+            raise MediumError(
+                f"The voxel size must be positive and at most {LARGEST:.1e} m; "
+                f"it is {voxel_size} m."
+            )
         self.origin = tuple(map(float, origin))
         if len(self.origin) != 3 or not np.all(np.isfinite(self.origin)):
             raise MediumError(f"The origin must be three finite coordinates; it is {origin}.")
@@ -153,7 +158,7 @@ class Medium:
         )
 
     def _emission(self, emission):
-        emission = np.asarray(emission, np.float32)
+        emission = _float32(emission)
         if emission.shape not in (self.shape, (self.bands, *self.shape)):
             raise MediumError(
                 f"The emission has shape {emission.shape}; it must be that of the density, "
@@ -182,10 +187,15 @@ def _grid(values, name):
             f"The {name} must be a grid of three dimensions with at least one voxel; "
             f"its shape is {values.shape}."
         )
-    with np.errstate(over="ignore"):
-        values = np.ascontiguousarray(values, np.float32)
+    values = _float32(values)
     _refuse_bad_voxels(values, name)
     return values
+
+
+def _float32(values):
+    """`values` as a contiguous float32 array, infinite where they are too large for it."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(values, np.float32)
 
 
 def _refuse_bad_voxels(values, name):
@@ -214,10 +224,10 @@ def _by_band(sigma_s, sigma_a, g):
         shapes = ", ".join(f"{name} {v.shape}" for name, v in named.items())
         raise MediumError(f"The coefficients must agree on the number of bands; got {shapes}.")
     for name, values in named.items():
-        good = np.abs(values) < 1 if name == "g" else np.isfinite(values) & (values >= 0)
+        good = np.abs(values) < 1 if name == "g" else (values >= 0) & (values <= LARGEST)
         if not np.all(good):
             band = int(np.argmin(good))
-            rule = "between -1 and 1" if name == "g" else "finite and not negative"
+            rule = "between -1 and 1" if name == "g" else f"between 0 and {LARGEST:.1e}"
             raise MediumError(f"{name} must be {rule}; in band {band} it is {values[band]}.")
     return tuple(np.broadcast_to(v, bands).copy() for v in named.values())
 

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's lattice on an OpenCL device, by one of its three kernels (paper 1, section 3.1)."""
 
+from contextlib import contextmanager
 from math import prod
 
 import numpy as np
 import pyopencl as cl
 
 from ..errors import DeviceError
-from .device import context, program, queue, require_memory
+from .device import context, program, queue
 from .lattice import DIRECTIONS
-from .reference import initial_light
-
-KERNELS = ("naive", "final", "coalesced")
+from .reference import senders, set_initial_light
 
 
 class PaperLattice:
@@ -24,9 +23,6 @@ class PaperLattice:
 
     def __init__(self, medium, keep_absorbed, device, kernel):
         self.shape, self.naive = medium.shape, kernel == "naive"
-        self.bytes = require_memory(
-            device, self.shape, lambda shape: self.buffers(shape, kernel, medium.occlusion)
-        )
         self.context, self.queue = context(device), queue(device)
         defines = [
             f"{name}={n}" for name, n in zip(("WIDTH", "HEIGHT", "DEPTH"), self.shape, strict=True)
@@ -41,11 +37,11 @@ class PaperLattice:
         self.states = [self._buffer(4 * self._state_size()) for _ in range(2)]
         self.density = self._upload(medium.density)
         occlusion = [] if medium.occlusion is None else [self._upload(medium.occlusion)]
-        targets = self._targets() if self.naive else DIRECTIONS
-        self.arguments = [self.omega, self.density, *occlusion, self._upload(targets, np.int32)]
+        targets = self._targets() if self.naive else DIRECTIONS.astype(np.int32)
+        self.arguments = [self.omega, self.density, *occlusion, self._upload(targets)]
 
     @staticmethod
-    def buffers(shape, kernel, occlusion):
+    def buffers(shape, kernel, occluded):
         """{what: bytes} of device memory for a lattice of this shape."""
         nodes = prod(shape)
         plan = {
@@ -54,7 +50,7 @@ class PaperLattice:
             "density": 4 * nodes,
             "collision matrix": 19 * 19 * 4,
         }
-        if occlusion is not None:
+        if occluded:
             plan["occlusion"] = 4 * nodes
         if kernel == "naive":
             plan["targets"] = 19 * 4 * nodes
@@ -62,9 +58,9 @@ class PaperLattice:
 
     def start(self, inflow, omega):
         """Set the light that enters, (19,) by direction, and the collision matrix (19, 19)."""
-        light = self._to_device(initial_light(self.shape, inflow).astype(np.float32))
         for state in self.states:  # the boundary is never written, so both hold it
-            cl.enqueue_copy(self.queue, state, light)
+            with self._mapped(state, cl.map_flags.WRITE_INVALIDATE_REGION) as light:
+                set_initial_light(light, inflow)
         cl.enqueue_copy(self.queue, self.omega, omega.astype(np.float32))
 
     def advance(self, steps):
@@ -74,9 +70,12 @@ class PaperLattice:
             self.states.reverse()
         self.queue.finish()
 
-    def read(self):
-        """(light, light one step before), each (19, nx, ny, nz) float32."""
-        return tuple(self._to_host(state) for state in self.states)
+    def read(self, previous=False):
+        """The light, or that of one step before, (19, nx, ny, nz) float32, as a context.
+
+        The array is the device's memory where the host shares it, and lives within the context.
+        """
+        return self._mapped(self.states[1 if previous else 0], cl.map_flags.READ)
 
     def _work_group(self, kernel):
         """The paper's: a stripe along DEPTH; left to the driver where one is too long for it."""
@@ -90,32 +89,38 @@ class PaperLattice:
         return None
 
     def _state_size(self):
-        return 19 * int(np.prod(self.shape)) + (1 if self.naive else 0)  # 1: the sink
+        return 19 * (prod(self.shape) + (1 if self.naive else 0))  # 1: the sink
 
-    def _to_device(self, light):
-        if self.naive:
-            return np.append(np.moveaxis(light, 0, 3).ravel(), np.float32(0))
-        return np.ascontiguousarray(np.moveaxis(light, 0, 2))
+    @contextmanager
+    def _mapped(self, state, access):
+        """A state as an array of the host, by direction; mapped, so that CPUs need no copy."""
+        values, _ = cl.enqueue_map_buffer(
+            self.queue, state, access, 0, self._state_size(), np.float32
+        )
+        try:
+            yield self._by_direction(values)
+        finally:
+            values.base.release(self.queue)
 
-    def _to_host(self, state):
+    def _by_direction(self, values):
+        """The view (19, nx, ny, nz) of a state in the device's order."""
         nx, ny, nz = self.shape
-        light = np.empty(self._state_size(), np.float32)
-        cl.enqueue_copy(self.queue, light, state)
         if self.naive:
-            return np.moveaxis(light[:-1].reshape(nx, ny, nz, 19), 3, 0)
-        return np.moveaxis(light.reshape(nx, ny, 19, nz), 2, 0)
+            return np.moveaxis(values[:-19].reshape(nx, ny, nz, 19), 3, 0)
+        return np.moveaxis(values.reshape(nx, ny, 19, nz), 2, 0)
 
     def _targets(self):
-        """(nx, ny, nz, 19), where each flow goes in the naive layout; the sink if nowhere."""
-        nodes = np.stack(np.indices(self.shape), axis=-1)[..., None, :]
-        out = nodes + DIRECTIONS
-        inside = np.all((out > 0) & (out < np.subtract(self.shape, 1)), axis=-1)
-        index = np.ravel_multi_index(np.moveaxis(out, -1, 0), self.shape, mode="clip")
-        return np.where(inside, index * 19 + np.arange(19), 19 * int(np.prod(self.shape)))
+        """(nx, ny, nz, 19) uint32, the node that each flow goes to; the sink if to none."""
+        sink = prod(self.shape)
+        nodes = np.arange(sink, dtype=np.uint32).reshape(self.shape)
+        targets = np.full((*self.shape, 19), sink, np.uint32)
+        for m, c in enumerate(DIRECTIONS):
+            targets[*senders(self.shape, c), m] = nodes[1:-1, 1:-1, 1:-1]
+        return targets
 
-    def _upload(self, values, dtype=np.float32):
+    def _upload(self, values):
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, dtype))
+        return cl.Buffer(self.context, flags, hostbuf=values)
 
     def _buffer(self, size):
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)

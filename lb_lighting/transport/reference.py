@@ -2,11 +2,11 @@
 """The paper's lattice update in NumPy float64: the oracle of the kernels, and the solver
 where no OpenCL runtime exists."""
 
+from contextlib import nullcontext
 from math import prod
 
 import numpy as np
 
-from .device import require_memory
 from .lattice import DIRECTIONS
 
 
@@ -20,54 +20,64 @@ def step(f, omega, density, occlusion=None, keep_absorbed=False):
     and whatever flows into them is ignored. Opaque voxels send less on, by their occlusion.
     Light that was absorbed (direction 0) is kept only where `keep_absorbed`.
     """
-    after = f + density * np.tensordot(omega, f, axes=1)
+    after = np.tensordot(omega, f, axes=1)
+    after *= density
+    after += f
     if occlusion is not None:
         after *= 1 - occlusion
     if not keep_absorbed:
         after[0] = 0
 
     new = f.copy()
-    for m, (cx, cy, cz) in enumerate(DIRECTIONS):
-        nx, ny, nz = density.shape
-        # Node r receives what left r - c_m.
-        new[m, 1:-1, 1:-1, 1:-1] = after[
-            m, 1 - cx : nx - 1 - cx, 1 - cy : ny - 1 - cy, 1 - cz : nz - 1 - cz
-        ]
+    for m, c in enumerate(DIRECTIONS):
+        new[m, 1:-1, 1:-1, 1:-1] = after[m, *senders(density.shape, c)]
     return new
 
 
-def initial_light(shape, inflow):
-    """(19, nx, ny, nz) float64: `inflow` (19,) at every boundary node, 0 between them."""
-    f = np.zeros((19, *shape))
-    f += np.asarray(inflow, float)[:, None, None, None]
+def senders(shape, c):
+    """The slices (3,) of the nodes whose light along c reaches the inner nodes, in their order."""
+    return tuple(slice(1 - d, n - 1 - d) for n, d in zip(shape, c, strict=True))
+
+
+def set_initial_light(f, inflow):
+    """Fill f (19, nx, ny, nz): `inflow` (19,) at every boundary node, 0 between them."""
+    f[...] = np.asarray(inflow)[:, None, None, None]
     f[:, 1:-1, 1:-1, 1:-1] = 0
-    return f
 
 
 class ReferenceLattice:
     """The lattice of one medium in NumPy, used just as `paper.PaperLattice`."""
 
-    def __init__(self, medium, keep_absorbed, device):
-        self.bytes = require_memory(device, medium.shape, self.buffers)
+    def __init__(self, medium, keep_absorbed):
         self.density = medium.density.astype(float)
         self.occlusion = medium.occlusion
         self.keep_absorbed = keep_absorbed
 
     @staticmethod
-    def buffers(shape):
-        """{what: bytes} for a lattice of this shape: two states, and the work of a collision."""
-        state = 19 * 8 * prod(shape)
-        return {"light": state, "collision": 2 * state, "previous light": state}
+    def buffers(shape, occluded):
+        """{what: bytes} for a lattice of this shape, float64."""
+        nodes = prod(shape)
+        plan = {
+            "light": 19 * 8 * nodes,
+            "collided light": 19 * 8 * nodes,
+            "next light": 19 * 8 * nodes,
+            "density": 8 * nodes,
+        }
+        if occluded:
+            plan["occlusion"] = 4 * nodes
+        return plan
 
     def start(self, inflow, omega):
         self.omega = omega
-        self.previous = self.f = initial_light(self.density.shape, inflow)
+        self.f = np.empty((19, *self.density.shape))
+        self.previous = self.f  # never written to: a step makes a new one
+        set_initial_light(self.f, inflow)
 
     def advance(self, steps):
         for _ in range(steps):
             self.previous = self.f
             self.f = step(self.f, self.omega, self.density, self.occlusion, self.keep_absorbed)
 
-    def read(self):
-        """(light, light one step before), each (19, nx, ny, nz)."""
-        return self.f, self.previous
+    def read(self, previous=False):
+        """The light, or that of one step before, (19, nx, ny, nz), as a context."""
+        return nullcontext(self.previous if previous else self.f)

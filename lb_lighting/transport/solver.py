@@ -3,6 +3,7 @@
 
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import prod
 from time import perf_counter
 
 import numpy as np
@@ -69,7 +70,10 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     clock = _Clock()
 
     with clock("prepare"):
-        lattice, used = _lattice(medium, settings, devices.choose(device))
+        used = devices.choose(device)
+        occluded = medium.occlusion is not None
+        needed = require_memory(medium.shape, settings, used, medium.bands, occluded)
+        lattice = _lattice(medium, settings, used)
     runs = _distinct_runs(medium, inflow)
     steps = settings.steps or 2 * max(medium.shape)
     light = np.empty((medium.bands, *medium.shape), np.float32)
@@ -81,12 +85,11 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
             lattice.start(inflow[band], omega)
             _advance(lattice, steps, number, len(runs), progress, cancel)
         with clock("read"):
-            f, before = lattice.read()
-            total = f.sum(axis=0)
-            residual = max(residual, _relative_change(total, before.sum(axis=0)))
-            band_flux = np.tensordot(UNIT.T, f, axes=1)
+            change = _read(lattice, light[band], flux[band])
+            residual = max(residual, change)
             for other, scale in multiples.items():
-                light[other], flux[other] = total * scale, band_flux * scale
+                np.multiply(light[band], scale, out=light[other])
+                np.multiply(flux[band], scale, out=flux[other])
 
     report = Report(
         model=settings.model,
@@ -94,19 +97,26 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
         steps=steps,
         residual=residual,
         seconds=clock.seconds,
-        bytes=lattice.bytes,
+        bytes=needed,
         runs=len(runs),
     )
     return Field(medium.domain, light, np.zeros_like(light), flux, report)
 
 
-def require_memory(shape, settings=None, device=None):
+def require_memory(shape, settings=None, device=None, bands=3, occluded=True):
     """Refuse a domain of `shape` voxels that is too large for the device, before it is made.
 
-    DeviceError says the largest resolution that fits; settings and device are those of `solve`.
+    settings and device are those of `solve`. Before the medium is known it is taken to have the
+    most that a scene can bring: three bands, and opaque voxels.
+    Returns the bytes needed; DeviceError says the largest resolution that fits.
     """
     chosen = devices.choose(device)
-    devices.require_memory(chosen, shape, _buffers(settings or Settings(), chosen))
+    buffers = _buffers(settings or Settings(), chosen)
+
+    def plan(shape):
+        return buffers(shape, occluded), _host_bytes(shape, bands, occluded)
+
+    return devices.require_memory(chosen, shape, plan)
 
 
 def boundary_inflow(lights, bands):
@@ -156,21 +166,28 @@ def _refuse_unfit(medium):
 
 
 def _lattice(medium, settings, device):
-    """(the lattice, the device it runs on)."""
     if device.kind == "NumPy":
-        return ReferenceLattice(medium, settings.keep_absorbed, device), device
+        return ReferenceLattice(medium, settings.keep_absorbed)
     from .paper import PaperLattice  # only now: it needs pyopencl
 
-    return PaperLattice(medium, settings.keep_absorbed, device, settings.kernel), device
+    return PaperLattice(medium, settings.keep_absorbed, device, settings.kernel)
 
 
 def _buffers(settings, device):
-    """Function of a shape: the {what: bytes} of its lattice, without any occlusion."""
+    """Function of a shape, and of whether it has opaque voxels: {what: bytes} of its lattice."""
     if device.kind == "NumPy":
         return ReferenceLattice.buffers
     from .paper import PaperLattice
 
-    return lambda shape: PaperLattice.buffers(shape, settings.kernel, occlusion=None)
+    return lambda shape, occluded: PaperLattice.buffers(shape, settings.kernel, occluded)
+
+
+def _host_bytes(shape, bands, occluded):
+    """Bytes of the host's arrays beside the lattice: the medium, the field, and work on it."""
+    medium = 4 + (4 if occluded else 0)
+    field = bands * (1 + 1 + 3) * 4  # fluence, direct, flux
+    work = 3 * 8  # the light now, the light before, their difference
+    return (medium + field + work) * prod(shape)
 
 
 def _distinct_runs(medium, inflow):
@@ -208,6 +225,20 @@ def _advance(lattice, steps, run, runs, progress, cancel):
         lattice.advance(min(_REPORT_EVERY, steps - done))
         if progress is not None:
             progress("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
+
+
+def _read(lattice, fluence, flux):
+    """Fill fluence (nx, ny, nz) and flux (3, nx, ny, nz); the relative change of the last step.
+
+    A function of its own so that no view of the lattice's light outlives it.
+    """
+    with lattice.read(previous=True) as f:
+        before = f.sum(axis=0)
+    with lattice.read() as f:
+        now = f.sum(axis=0)
+        np.einsum("ma,m...->a...", UNIT, f, out=flux, casting="same_kind")
+    fluence[...] = now
+    return _relative_change(now, before)
 
 
 def _relative_change(now, before):

@@ -56,7 +56,11 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
     )
 
     def execute(self, context):
-        count = bake.clear(context, self.delete_files)
+        try:
+            count = bake.clear(context, self.delete_files)
+        except LightingError as error:  # the scene is cleared, a file is left
+            self.report({"WARNING"}, str(error))
+            return {"FINISHED"}
         if not count:
             self.report({"INFO"}, "Nothing to clear: this scene has no LB light")
             return {"CANCELLED"}

@@ -91,7 +91,7 @@ def volume_object(path, material):
     return ob
 
 
-def smoke(folder, flow_type="SMOKE", frames=6, **settings):
+def smoke(folder, flow_type="SMOKE", frames=6, color=(1.0, 0.5, 0.25), **settings):
     """A turned and stretched domain with a smoking ball in it, after some frames.
 
     Returns the domain, selected. The ball is of radius 0.3 m around (1.4, 2.1, 2) m.
@@ -112,7 +112,7 @@ def smoke(folder, flow_type="SMOKE", frames=6, **settings):
     modifier.fluid_type = "FLOW"
     modifier.flow_settings.flow_type = flow_type
     modifier.flow_settings.flow_behavior = "INFLOW"
-    modifier.flow_settings.smoke_color = (1.0, 0.5, 0.25)
+    modifier.flow_settings.smoke_color = color
     ball.hide_render = True
     ball.select_set(False)
     domain.select_set(True)

@@ -7,7 +7,7 @@ The fixture `lb` is the package under test.
 import bpy
 import numpy as np
 import pytest
-from scenes import center_of_mass, part, smoke
+from scenes import center_of_mass, part, smoke, volume_material
 
 SOURCE = np.array((1.4, 2.1, 2.0))  # m, the middle of the ball that smokes
 RADIUS = 0.3  # m
@@ -19,15 +19,25 @@ def lattice(lb, ob, resolution=48):
     return part(lb, "transport.medium").Domain.around(*bounds, resolution)
 
 
-def read(lb, ob, domain):
-    return part(lb, "scene.smoke").smoke_grids(ob, bpy.context.evaluated_depsgraph_get(), domain)
+def read(lb, ob, domain, name="density"):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return part(lb, "scene.smoke").smoke_grid(ob, depsgraph, domain, name)
+
+
+def share(lb, ob, domain, medium):
+    """(the one share of the smoke, notes)."""
+    sources = part(lb, "scene.sources")
+    reader = sources.Reader(bpy.context.evaluated_depsgraph_get(), medium, 30.0, "")
+    (source,) = sources.open_sources([ob], reader)
+    (found,) = source.shares(domain)
+    return found, reader.notes
 
 
 @pytest.mark.parametrize("settings", [{}, {"use_adaptive_domain": True}, {"use_noise": True}])
 def test_smoke_is_where_its_source_is(lb, tmp_path, settings):
     ob = smoke(tmp_path, **settings)
     domain = lattice(lb, ob)
-    density = read(lb, ob, domain)["density"]
+    density = read(lb, ob, domain)
     center = center_of_mass(density, domain.centers())
     assert density.max() > 0.5
     # Fresh smoke fills the ball, and has only begun to rise.
@@ -38,7 +48,7 @@ def test_smoke_is_where_its_source_is(lb, tmp_path, settings):
 def test_mass_does_not_depend_on_the_lattice(lb, tmp_path):
     ob = smoke(tmp_path)
     domains = [lattice(lb, ob, n) for n in (20, 32, 80)]
-    masses = [read(lb, ob, d)["density"].sum() * d.voxel_size**3 for d in domains]
+    masses = [read(lb, ob, d).sum() * d.voxel_size**3 for d in domains]
     options = part(lb, "scene.smoke").find_domain_settings(
         ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
     )
@@ -50,25 +60,42 @@ def test_mass_does_not_depend_on_the_lattice(lb, tmp_path):
 
 def test_smoke_without_fire(lb, tmp_path):
     ob = smoke(tmp_path)
-    grids = read(lb, ob, domain := lattice(lb, ob))
-    assert not grids.get("flame", np.zeros(1)).any()
-    dense = grids["density"] > 0.5
-    assert grids["color"].shape == (3, *domain.shape)
-    # The simulation lets a colour fade in, so that only its hue is certain.
-    found = grids["color"][:, dense].mean(axis=1)
-    assert found / found[0] == pytest.approx(COLOR, rel=0.01)
+    found, notes = share(lb, ob, lattice(lb, ob), "cloud")
+    assert notes == []
+    sigma_s, sigma_a = np.array(found.optics.sigma_s), np.array(found.optics.sigma_a)
+    assert sigma_s / sigma_s[0] == pytest.approx(COLOR, rel=0.02)
+    assert sigma_s + sigma_a == pytest.approx([found.sigma_t] * 3)
+    assert sigma_s[0] / found.sigma_t == pytest.approx(0.99)
+
+
+def test_white_smoke_is_one_band(lb, tmp_path):
+    ob = smoke(tmp_path, color=(1, 1, 1))
+    optics = share(lb, ob, lattice(lb, ob), "cloud")[0].optics
+    assert np.size(optics.sigma_s) == 1
+    assert optics.sigma_s / (optics.sigma_s + optics.sigma_a) == pytest.approx(0.99)
+
+
+def test_material_wins_over_the_colour_of_the_simulation(lb, tmp_path):
+    ob = smoke(tmp_path)
+    ob.data.materials.append(volume_material(density=2.0))
+    optics = share(lb, ob, lattice(lb, ob), "MATERIAL")[0].optics
+    assert (optics.sigma_s, optics.sigma_a) == pytest.approx((1.9, 0.1))
 
 
 def test_fire(lb, tmp_path):
     ob = smoke(tmp_path, flow_type="BOTH")
     domain = lattice(lb, ob)
-    grids = read(lb, ob, domain)
-    assert set(grids) == {"density", "flame", "temperature", "color"}
-    assert grids["flame"].max() > 0.5
-    assert (
-        np.abs(center_of_mass(grids["flame"], domain.centers()) - SOURCE)[:2].max()
-        < domain.voxel_size
-    )
+    flame = read(lb, ob, domain, "flame")
+    assert flame.max() > 0.5
+    center = center_of_mass(flame, domain.centers())
+    assert np.abs(center - SOURCE)[:2].max() < domain.voxel_size
+    told = share(lb, ob, domain, "cloud")[1]
+    assert told == ["The fire of 'Cube' does not light its smoke."]
+    with pytest.raises(
+        part(lb, "errors").SceneError,
+        match=r"no grid 'smoke'; choose one of: density, flame, temperature\.$",
+    ):
+        read(lb, ob, domain, "smoke")
 
 
 def test_not_simulated_yet(lb, tmp_path):

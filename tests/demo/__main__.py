@@ -14,6 +14,7 @@ bpy.utils.expose_bundled_modules()
 
 import lb_lighting  # noqa: E402 - OpenVDB has to be exposed first
 from lb_lighting import bake  # noqa: E402
+from lb_lighting.cli import leave  # noqa: E402
 
 from . import scenes  # noqa: E402
 
@@ -94,3 +95,4 @@ def silent_stdout():
 
 
 main()
+leave(0)

@@ -16,6 +16,7 @@ from lb_lighting.output.volume import (
 )
 from lb_lighting.transport.medium import Domain
 from tests.output.rendering import centroid, dark_scene, middle, render
+from tests.scenery import source
 
 FROM_ABOVE = (0, 0, 10), (0, 0, 0)
 DEPTH = 2.0  # m, of the box
@@ -37,7 +38,7 @@ def box(path, light=LIGHT):
     density[4:20, 4:20, 4:20] = 1
     light = np.broadcast_to(np.reshape(light, (-1, 1, 1, 1)), (3, *BOX.shape))
     write_vdb(path, BOX, density, light, {})
-    return show_volume(bpy.context, "box", path)
+    return show_volume(bpy.context, [source("box")], path)
 
 
 def plane(z, width, material):
@@ -185,14 +186,14 @@ def source_volume(path):
 def test_baked_volume_lies_on_its_source(tmp_path):
     scene = dark_scene((6, -6, 6), (np.arctan(np.sqrt(2)), 0, np.pi / 4), width=4)
     prepare_scene(scene)
-    source = source_volume(tmp_path / "source.vdb")
+    original = source_volume(tmp_path / "source.vdb")
     seen = render(scene, tmp_path / "source.exr", 64, 16)
-    bpy.data.objects.remove(source)
+    bpy.data.objects.remove(original)
 
     domain = Domain.around((-1.1, -1.3, -1), (1.7, 1.1, 1.2), 32)
     density = blob(domain.centers())
     write_vdb(tmp_path / "baked.vdb", domain, density, np.ones((1, *domain.shape)), {})
-    baked = show_volume(bpy.context, "source", tmp_path / "baked.vdb")
+    baked = show_volume(bpy.context, [source("source")], tmp_path / "baked.vdb")
     shade_volume(baked, "ADD", 1.0, 0.0)
     found = render(scene, tmp_path / "baked.exr", 64, 16)
 
@@ -205,18 +206,72 @@ def ambient_plane(radiance, material):
     ob = plane(0, 2, material)
     field = np.broadcast_to(np.reshape(radiance, (-1, 1, 1, 1)), (3, *BOX.shape))
     write_ambient([ob], bpy.context.evaluated_depsgraph_get(), BOX, field)
-    wire_ambient(material, (0.5, 0.5, 0.5), strength=2.0)
+    wire_ambient(material, strength=2.0)
     return ob
 
 
-@pytest.mark.parametrize("kind", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"])
-def test_ambient_is_reflectance_times_mean_radiance(tmp_path, kind):
-    scene = dark_scene(*FROM_ABOVE, width=2)
-    color = (0.1, 0.6, 0.3)
-    ambient_plane(LIGHT, surface(kind, Color=(*color, 1)))
-    reflectance = color if kind == "ShaderNodeBsdfDiffuse" else (0.5, 0.5, 0.5)
+COLOR = np.array([0.1, 0.6, 0.3])
+OTHER = np.array([0.5, 0.2, 0.4])
+
+
+def principled(alpha):
+    return surface("ShaderNodeBsdfPrincipled", **{"Base Color": (*COLOR, 1), "Alpha": alpha})
+
+
+def principled_with_linked_alpha(alpha):
+    material = principled(1.0)
+    nodes = material.node_tree.nodes
+    value = nodes.new("ShaderNodeValue")
+    value.outputs[0].default_value = alpha
+    material.node_tree.links.new(value.outputs[0], nodes["Principled BSDF"].inputs["Alpha"])
+    return material
+
+
+def mixed(material, other, factor):
+    """`material` with the closure `other` of the colour OTHER mixed to it."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    target = nodes["Material Output"].inputs["Surface"]
+    closure, mix = nodes.new(other), nodes.new("ShaderNodeMixShader")
+    closure.inputs["Color"].default_value = (*OTHER, 1)
+    mix.inputs[0].default_value = factor
+    links.new(target.links[0].from_socket, mix.inputs[1])
+    links.new(closure.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], target)
+    return material
+
+
+def closure(kind):
+    return surface(kind, Color=(*COLOR, 1))
+
+
+# A surface, and the share of diffuse light that it sends to the eye.
+REFLECTANCES = {
+    "diffuse": (lambda: closure("ShaderNodeBsdfDiffuse"), COLOR),
+    "translucent": (lambda: closure("ShaderNodeBsdfTranslucent"), COLOR),
+    "subsurface": (lambda: closure("ShaderNodeSubsurfaceScattering"), COLOR),
+    "glossy": (lambda: closure("ShaderNodeBsdfGlossy"), 0 * COLOR),
+    "principled": (lambda: principled(1.0), COLOR),
+    "cut out by alpha": (lambda: principled(0.02), 0.02 * COLOR),
+    "cut out by linked alpha": (lambda: principled_with_linked_alpha(0.02), 0.02 * COLOR),
+    "alpha beyond 1": (lambda: principled_with_linked_alpha(5.0), COLOR),
+    "cut out by a mix": (
+        lambda: mixed(principled(1.0), "ShaderNodeBsdfTransparent", 0.98),
+        0.02 * COLOR,
+    ),
+    "leaf": (
+        lambda: mixed(closure("ShaderNodeBsdfDiffuse"), "ShaderNodeBsdfTranslucent", 0.3),
+        0.7 * COLOR + 0.3 * OTHER,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFLECTANCES)
+def test_ambient_is_reflectance_times_mean_radiance(tmp_path, name):
+    scene = dark_scene(*FROM_ABOVE, width=1)
+    make, reflectance = REFLECTANCES[name]
+    ambient_plane(LIGHT, make())
     picture = render(scene, tmp_path / "a.exr", 16, 1)
-    assert middle(picture) == pytest.approx(2 * np.multiply(reflectance, LIGHT), rel=0.01)
+    assert middle(picture) == pytest.approx(2 * reflectance * LIGHT, rel=0.01, abs=1e-6)
 
 
 def test_ambient_light_does_not_light_its_surroundings(tmp_path):

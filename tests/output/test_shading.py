@@ -6,7 +6,9 @@ import bpy
 import pytest
 
 from lb_lighting.errors import OutputError
+from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.groups import AMBIENT_GROUP, VOLUME_GROUP
+from lb_lighting.output.ours import is_ours
 from lb_lighting.output.shading import (
     hide_source,
     light_surface,
@@ -17,9 +19,12 @@ from lb_lighting.output.shading import (
     show_source,
     unlight_surface,
     unwire_ambient,
+    unwire_unused,
     wire_ambient,
 )
 from lb_lighting.output.volume import remove_baked, show_volume
+from lb_lighting.scene.materials import leaf_optics
+from tests.scenery import source
 
 
 def new_material():
@@ -45,13 +50,87 @@ def textured():
     return material
 
 
-def mixed():
-    material, nodes, links = new_material()
-    mix, output = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeOutputMaterial")
-    for socket, kind in enumerate(("ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"), 1):
-        links.new(nodes.new(kind).outputs[0], mix.inputs[socket])
-    links.new(mix.outputs[0], output.inputs["Surface"])
+def mix_shader(material, first, second, factor=0.5):
+    """The output socket of a Mix Shader of the output sockets `first` and `second`."""
+    mix = material.node_tree.nodes.new("ShaderNodeMixShader")
+    mix.inputs[0].default_value = factor
+    for socket, shader in enumerate((first, second), 1):
+        material.node_tree.links.new(shader, mix.inputs[socket])
+    return mix.outputs[0]
+
+
+def colored(material, kind, color):
+    """The output socket of a new closure node."""
+    node = material.node_tree.nodes.new(kind)
+    node.inputs["Color"].default_value = (*color, 1)
+    return node.outputs[0]
+
+
+def show(material, shader):
+    output = material.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(shader, output.inputs["Surface"])
     return material
+
+
+def mixed():
+    material = new_material()[0]
+    diffuse = colored(material, "ShaderNodeBsdfDiffuse", (0.3, 0.2, 0.1))
+    translucent = colored(material, "ShaderNodeBsdfTranslucent", (0.1, 0.4, 0.2))
+    return show(material, mix_shader(material, diffuse, translucent, 0.3))
+
+
+def cut_out():
+    """A leaf on a card: a transparent shader, and one whose alpha is a texture's, over reroutes."""
+    material = principled()
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader, output = nodes["Principled BSDF"], nodes["Material Output"]
+    texture, reroute = nodes.new("ShaderNodeTexChecker"), nodes.new("NodeReroute")
+    links.new(texture.outputs["Factor"], shader.inputs["Alpha"])
+    links.new(shader.outputs[0], reroute.inputs[0])
+    transparent = colored(material, "ShaderNodeBsdfTransparent", (1, 1, 1))
+    mix = mix_shader(material, transparent, reroute.outputs[0])
+    links.new(mix, output.inputs["Surface"])
+    return material
+
+
+def shared():
+    """One closure in two mixes of a sum, and in a preview output that is not rendered."""
+    material, nodes, links = new_material()
+    diffuse = colored(material, "ShaderNodeBsdfDiffuse", (0.3, 0.2, 0.1))
+    glossy = colored(material, "ShaderNodeBsdfGlossy", (1, 1, 1))
+    add = nodes.new("ShaderNodeAddShader")
+    links.new(mix_shader(material, diffuse, glossy, 0.2), add.inputs[0])
+    links.new(mix_shader(material, glossy, diffuse, 0.1), add.inputs[1])
+    show(material, add.outputs[0])
+    show(material, diffuse)
+    return material
+
+
+def user_group(material, kind):
+    """A group node of the user around one closure."""
+    tree = bpy.data.node_groups.new("user", "ShaderNodeTree")
+    tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    closure, output = tree.nodes.new(kind), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(closure.outputs[0], output.inputs[0])
+    node = material.node_tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = tree
+    return node
+
+
+def grouped():
+    material = new_material()[0]
+    return show(material, user_group(material, "ShaderNodeBsdfDiffuse").outputs[0])
+
+
+def glassy():
+    """Nothing that scatters diffusely, and one that does but is switched off."""
+    material, nodes, _links = new_material()
+    muted = colored(material, "ShaderNodeBsdfDiffuse", (1, 1, 1))
+    muted.node.mute = True
+    shader = mix_shader(material, nodes.new("ShaderNodeEmission").outputs[0], muted)
+    for kind in ("Holdout", "BsdfTransparent", "BsdfGlass", "BsdfGlossy", "BsdfRefraction"):
+        shader = mix_shader(material, shader, nodes.new("ShaderNode" + kind).outputs[0])
+    return show(material, shader)
 
 
 def two_engines():
@@ -87,7 +166,20 @@ def empty():
     return new_material()[0]
 
 
-GRAPHS = [principled, textured, mixed, two_engines, framed, unlinked_surface, empty]
+def circular():
+    """A mix that is its own input, which Blender marks as invalid."""
+    material = mixed()
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    mix = nodes["Mix Shader"]
+    add = nodes.new("ShaderNodeAddShader")
+    links.new(mix.outputs[0], add.inputs[0])
+    links.new(nodes["Diffuse BSDF"].outputs[0], add.inputs[1])
+    links.new(add.outputs[0], mix.inputs[1])
+    return material
+
+
+LEFT_ALONE = [glassy, unlinked_surface, empty]
+WIRED = [principled, textured, mixed, cut_out, shared, grouped, two_engines, framed, circular]
 
 
 def plain(value):
@@ -128,18 +220,30 @@ def dump(material):
 
 
 def ambient(material):
-    found = [n for n in material.node_tree.nodes if n.type == "GROUP"]
-    assert len(found) == 1
-    return found[0]
+    (node,) = ambients(material)
+    return node
 
 
-@pytest.mark.parametrize("graph", GRAPHS)
+def ambients(material):
+    """The group nodes `LB Ambient` of a material."""
+    nodes = material.node_tree.nodes
+    return [n for n in nodes if n.type == "GROUP" and n.node_tree.name.startswith(AMBIENT_GROUP)]
+
+
+def behind(material, closure):
+    """The group node that the closure node named `closure` feeds."""
+    return next(
+        n for n in ambients(material) if n.inputs["Shader"].links[0].from_node.name == closure
+    )
+
+
+@pytest.mark.parametrize("graph", WIRED + LEFT_ALONE)
 def test_unwire_restores_the_graph_exactly(graph):
     material = graph()
     before = dump(material)
     wire_ambient(material)
     wired = dump(material)
-    assert (wired == before) is (graph in (unlinked_surface, empty))
+    assert (wired == before) is (graph in LEFT_ALONE)
     wire_ambient(material)
     assert dump(material) == wired
     unwire_ambient(material)
@@ -156,38 +260,85 @@ def test_each_engine_gets_its_ambient_light():
     assert [node.node_tree.name for node in feeding] == [AMBIENT_GROUP] * 2
 
 
-def test_color_is_that_of_the_surface():
-    material = principled()
-    wire_ambient(material, (1, 1, 1))
-    assert ambient(material).inputs["Color"].default_value[:3] == pytest.approx((0.1, 0.5, 0.2))
-
-
-def test_color_follows_the_texture_of_the_surface():
-    material = textured()
-    wire_ambient(material, (1, 1, 1))
-    assert ambient(material).inputs["Color"].links[0].from_node.type == "TEX_NOISE"
-
-
-def test_color_is_the_albedo_where_the_surface_has_none():
+def test_color_is_that_of_each_closure():
     material = mixed()
-    wire_ambient(material, (0.3, 0.2, 0.1))
-    assert ambient(material).inputs["Color"].default_value[:3] == pytest.approx((0.3, 0.2, 0.1))
+    wire_ambient(material)
+    assert len(ambients(material)) == 2
+    for closure, color in (
+        ("Diffuse BSDF", (0.3, 0.2, 0.1)),
+        ("Translucent BSDF", (0.1, 0.4, 0.2)),
+    ):
+        inputs = behind(material, closure).inputs
+        assert inputs["Color"].default_value[:3] == pytest.approx(color)
+        assert inputs["Alpha"].default_value == 1
+
+
+def test_color_and_alpha_of_a_principled():
+    material = principled()
+    material.node_tree.nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.25
+    wire_ambient(material)
+    assert ambient(material).inputs["Color"].default_value[:3] == pytest.approx((0.1, 0.5, 0.2))
+    assert ambient(material).inputs["Alpha"].default_value == 0.25
+
+
+def test_color_and_alpha_follow_the_textures_of_the_surface():
+    material = textured()
+    wire_ambient(material)
+    assert ambient(material).inputs["Color"].links[0].from_node.type == "TEX_NOISE"
+    material = cut_out()
+    wire_ambient(material)
+    assert ambient(material).inputs["Alpha"].links[0].from_node.type == "TEX_CHECKER"
+
+
+def test_color_behind_a_group_of_the_user_is_grey():
+    material = grouped()
+    wire_ambient(material)
+    assert ambient(material).inputs["Color"].default_value[:3] == pytest.approx((0.8, 0.8, 0.8))
+
+
+def test_a_shared_closure_gets_one_node_and_other_uses_of_it_none():
+    material = shared()
+    wire_ambient(material)
+    fed = {link.to_node.name for link in ambient(material).outputs[0].links}
+    assert fed == {"Mix Shader", "Mix Shader.001"}
+    preview = material.node_tree.nodes["Material Output.001"]
+    assert preview.inputs["Surface"].links[0].from_node.type == "BSDF_DIFFUSE"
 
 
 def test_a_second_call_updates():
     material = textured()
-    wire_ambient(material, (1, 1, 1), 1)
-    node = ambient(material)
+    wire_ambient(material)
     links = material.node_tree.links
-    links.remove(node.inputs["Color"].links[0])
     shader = material.node_tree.nodes["Principled BSDF"]
     links.remove(shader.inputs["Base Color"].links[0])
     shader.inputs["Base Color"].default_value = (0.7, 0.6, 0.5, 1)
-    wire_ambient(material, (1, 1, 1), 2)
-    assert ambient(material) == node
-    assert node.inputs["Strength"].default_value == 2
-    assert not node.inputs["Color"].is_linked
-    assert node.inputs["Color"].default_value[:3] == pytest.approx((0.7, 0.6, 0.5))
+    wire_ambient(material, 2)
+    inputs = ambient(material).inputs
+    assert inputs["Strength"].default_value == 2
+    assert not inputs["Color"].is_linked
+    assert inputs["Color"].default_value[:3] == pytest.approx((0.7, 0.6, 0.5))
+
+
+@pytest.mark.parametrize("graph", [principled, mixed, framed])
+def test_a_lit_leaf_is_still_read_as_the_same_leaf(graph):
+    material = graph()
+    before = leaf_optics(material)
+    wire_ambient(material)
+    assert leaf_optics(material) == before
+
+
+def test_a_lit_cut_out_is_still_read_as_the_same_leaf():
+    material = cut_out()
+    mask = bpy.data.images.new("mask", 1, 1)
+    mask.pixels = (1, 1, 1, 0.5)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image = mask
+    links.new(texture.outputs["Alpha"], nodes["Principled BSDF"].inputs["Alpha"])
+    before = leaf_optics(material)
+    assert before.coverage == pytest.approx(0.25, rel=0.01)
+    wire_ambient(material)
+    assert leaf_optics(material) == before
 
 
 def test_surfaces_do_not_become_lamps():
@@ -222,32 +373,132 @@ def test_without_cycles_there_is_nothing_of_its_to_set():
     assert bpy.context.scene.cycles.volume_biased is False
 
 
+def lit_object(scene, *materials):
+    """A mesh object in `scene` as a bake leaves it."""
+    mesh = bpy.data.meshes.new("mesh")
+    mesh.from_pydata([(0, 0, 0)], [], [])
+    for material in materials:
+        mesh.materials.append(material)
+    ob = bpy.data.objects.new("ob", mesh)
+    scene.collection.objects.link(ob)
+    mesh.attributes.new(AMBIENT_ATTRIBUTE, "FLOAT_COLOR", "POINT")
+    light_surface(ob)
+    return ob
+
+
+def delete(ob):
+    bpy.data.objects.remove(ob)
+
+
+def take_out_of_the_scene(ob):
+    bpy.context.scene.collection.objects.unlink(ob)
+
+
+def remove_light(ob):
+    ob.data.attributes.remove(ob.data.attributes[AMBIENT_ATTRIBUTE])
+
+
+def swap_material(ob):
+    ob.data.materials[0] = bpy.data.materials.new("other")
+
+
+def override_material(ob):
+    ob.material_slots[0].link = "OBJECT"
+    ob.material_slots[0].material = bpy.data.materials.new("other")
+    ob.data.materials[0] = None
+
+
+CHANGES = [delete, take_out_of_the_scene, remove_light, swap_material, override_material]
+
+
 @pytest.mark.parametrize("slots", [[], [None], [None, "user"]])
 def test_objects_without_material_are_lit_and_given_back(slots):
     user = principled()
-    mesh = bpy.data.meshes.new("mesh")
-    for slot in slots:
-        mesh.materials.append(user if slot else None)
-    ob = bpy.data.objects.new("ob", mesh)
-    light_surface(ob, lambda _material: (0.8, 0.8, 0.8))
+    ob = lit_object(bpy.context.scene, *(user if slot else None for slot in slots))
     assert ob.material_slots
     for slot in ob.material_slots:
         assert ambient(slot.material).node_tree.name == AMBIENT_GROUP
+    assert not is_ours(ob.data)
+    remove_light(ob)
     unlight_surface(ob)
+    unwire_unused()
     remove_unused()
-    assert [m and m.name for m in mesh.materials] == slots
-    assert list(mesh.keys()) == []
+    assert [m and m.name for m in ob.data.materials] == slots
+    assert list(ob.data.keys()) == []
     assert bpy.data.materials.keys() == ["user"]
     assert not bpy.data.node_groups
 
 
 def test_user_material_in_our_slot_stays():
-    mesh = bpy.data.meshes.new("mesh")
-    ob = bpy.data.objects.new("ob", mesh)
-    light_surface(ob, lambda _material: (0.8, 0.8, 0.8))
+    ob = lit_object(bpy.context.scene)
     user = ob.material_slots[0].material = principled()
     unlight_surface(ob)
-    assert list(mesh.materials) == [user]
+    assert list(ob.data.materials) == [user]
+
+
+def test_user_material_of_the_object_in_our_slot_stays():
+    ob = lit_object(bpy.context.scene)
+    ob.material_slots[0].link = "OBJECT"
+    user = ob.material_slots[0].material = principled()
+    unlight_surface(ob)
+    assert ob.material_slots[0].material == user
+    assert list(ob.data.materials) == [None]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_materials_without_a_lit_mesh_are_unwired(change):
+    user = principled()
+    before = dump(user)
+    ob = lit_object(bpy.context.scene, user)
+    unwire_unused()
+    assert ambient(user)
+    change(ob)
+    unwire_unused()
+    assert dump(user) == before
+
+
+def test_an_object_whose_light_was_removed_by_hand_gets_its_slots_back():
+    ob = lit_object(bpy.context.scene)
+    remove_light(ob)
+    unwire_unused()
+    remove_unused()
+    assert not ob.data.materials
+    assert not bpy.data.materials
+    assert list(ob.data.keys()) == []
+
+
+def test_materials_of_lit_meshes_in_other_scenes_stay_wired():
+    user = principled()
+    here = lit_object(bpy.context.scene, user)
+    there = lit_object(bpy.data.scenes.new("other"), user)
+    plain = lit_object(bpy.data.scenes["other"])
+    remove_light(here)
+    unlight_surface(here)
+    unwire_unused()
+    assert ambient(user)
+    assert ambient(plain.material_slots[0].material)
+    remove_light(there)
+    unwire_unused()
+    assert not ambients(user)
+
+
+def test_a_duplicate_out_of_the_scene_does_not_take_the_material_of_the_mesh():
+    ob = lit_object(bpy.context.scene)
+    bpy.data.objects.new("duplicate", ob.data)
+    unwire_unused()
+    assert ambient(ob.material_slots[0].material)
+
+
+def test_materials_of_a_library_are_left_alone(tmp_path):
+    user = principled()
+    wire_ambient(user)
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {user})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_, linked):
+        linked.materials = ["user"]
+    unwire_unused()
+    assert ambient(linked.materials[0])
 
 
 @pytest.mark.parametrize("biased", [True, False])
@@ -277,24 +528,24 @@ def test_source_is_given_back(hidden):
 
 
 def test_baked_volume_has_one_material_and_takes_it_along(tmp_path):
-    ob = show_volume(bpy.context, "cloud", tmp_path / "a.vdb")
+    ob = show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb")
     shade_volume(ob, "REPLACE", 2.0, 0.5)
     shade_volume(ob, "ADD", (1, 2, 3), (4, 5, 6), 0.5)
     (material,) = ob.data.materials
-    inputs = ambient(material).inputs
+    inputs = next(n for n in material.node_tree.nodes if n.type == "GROUP").inputs
     assert tuple(inputs["Sigma S"].default_value) == (1, 2, 3)
     assert tuple(inputs["Sigma A"].default_value) == (4, 5, 6)
     assert inputs["Strength"].default_value == 0.5
     assert not inputs["Replace"].default_value
     assert bpy.data.node_groups.keys() == [VOLUME_GROUP]
-    remove_baked(ob, delete_file=False)
+    remove_baked(ob)
     remove_unused()
     assert not bpy.data.materials
     assert not bpy.data.node_groups
 
 
 def test_groups_explain_their_inputs(tmp_path):
-    shade_volume(show_volume(bpy.context, "cloud", tmp_path / "a.vdb"), "REPLACE", 1, 1)
+    shade_volume(show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb"), "REPLACE", 1, 1)
     wire_ambient(principled())
     assert sorted(bpy.data.node_groups.keys()) == [AMBIENT_GROUP, VOLUME_GROUP]
     for group in bpy.data.node_groups:

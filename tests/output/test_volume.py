@@ -13,16 +13,20 @@ from lb_lighting.errors import OutputError
 from lb_lighting.output.volume import (
     DENSITY_GRID,
     LIGHT_GRID,
+    baked_path,
     baked_volumes,
     default_folder,
     delete_baked_file,
+    forget,
+    lost_sources,
     read_metadata,
     remove_baked,
     show_volume,
+    sources_of,
     write_vdb,
 )
 from lb_lighting.transport.medium import Domain
-from tests.scenery import read_only
+from tests.scenery import read_only, source
 
 needs_posix = pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
 
@@ -167,9 +171,9 @@ def test_full_disk_leaves_the_old_file_whole(tmp_path, domain, density, light):
 def test_one_volume_object_per_source(tmp_path, domain, density, light):
     path = tmp_path / "a.vdb"
     write_vdb(path, domain, density, light, {})
-    cloud = show_volume(bpy.context, "cloud", path)
-    assert show_volume(bpy.context, "cloud", path) == cloud
-    smoke = show_volume(bpy.context, "smoke", path)
+    cloud = show_volume(bpy.context, [source("cloud")], path)
+    assert show_volume(bpy.context, [source("cloud")], path) == cloud
+    smoke = show_volume(bpy.context, [source("smoke")], path)
     assert baked_volumes(bpy.context.scene) == [cloud, smoke]
     cloud.data.grids.load()
     assert {grid.name for grid in cloud.data.grids} == {LIGHT_GRID, DENSITY_GRID}
@@ -180,7 +184,7 @@ def test_path_is_relative_to_a_saved_file(tmp_path, domain, density, light):
     assert default_folder() == tmp_path
     path = default_folder() / "a.vdb"
     write_vdb(path, domain, density, light, {})
-    ob = show_volume(bpy.context, "cloud", path)
+    ob = show_volume(bpy.context, [source("cloud")], path)
     assert ob.data.filepath == "//a.vdb"
 
 
@@ -188,25 +192,43 @@ def test_folder_of_an_unsaved_file_exists():
     assert default_folder().is_dir()
 
 
-@pytest.mark.parametrize("delete_file", [True, False])
-def test_remove_takes_only_what_is_ours(tmp_path, domain, density, light, delete_file):
+def test_remove_takes_only_what_is_ours(tmp_path, domain, density, light):
     path = tmp_path / "a.vdb"
     write_vdb(path, domain, density, light, {})
     mine = bpy.data.objects.new("mine", bpy.data.volumes.new("mine"))
     bpy.context.scene.collection.objects.link(mine)
-    ob = show_volume(bpy.context, "cloud", path)
+    ob = show_volume(bpy.context, [mine], path)
     ob.data.materials.append(bpy.data.materials.new("mine"))
-    remove_baked(ob, delete_file)
+    assert baked_path(ob) == path
+    remove_baked(ob)
     assert list(bpy.data.objects) == [mine]
     assert list(bpy.data.volumes) == [mine.data]
     assert bpy.data.materials.keys() == ["mine"]
-    assert path.exists() is not delete_file
+    assert path.exists()
+    assert lost_sources(bpy.context.scene) == [mine]
+    forget(mine)
+    assert lost_sources(bpy.context.scene) == []
 
 
-def test_remove_keeps_a_file_that_is_not_ours(tmp_path, domain, density, light):
+def test_a_volume_that_joins_two_takes_the_place_of_both(tmp_path, domain, density, light):
+    path = tmp_path / "a.vdb"
+    write_vdb(path, domain, density, light, {})
+    first, second = source("first"), source("second")
+    kept = show_volume(bpy.context, [first], path)
+    show_volume(bpy.context, [second], path)
+    assert show_volume(bpy.context, [first, second], path) == kept
+    assert baked_volumes(bpy.context.scene) == [kept]
+    first.name = "renamed"
+    assert sources_of(bpy.context.scene, kept) == [first, second]
+
+
+def test_only_our_files_are_deleted(tmp_path, domain, density, light):
     import openvdb
 
-    path = tmp_path / "mine.vdb"
-    openvdb.write(str(path), [openvdb.FloatGrid()])
-    remove_baked(show_volume(bpy.context, "cloud", path), delete_file=True)
-    assert path.exists()
+    mine, ours = tmp_path / "mine.vdb", tmp_path / "ours.vdb"
+    openvdb.write(str(mine), [openvdb.FloatGrid()])
+    write_vdb(ours, domain, density, light, {})
+    for path in (mine, ours, tmp_path / "gone.vdb"):
+        delete_baked_file(path)
+    assert mine.exists()
+    assert not ours.exists()

@@ -110,6 +110,50 @@ class TestSuns:
         add_sun(energy=0.0)
         assert [sun.irradiance for sun in lights()] == [1.0]
 
+    def test_those_hidden_in_viewports_only_shine(self):
+        """By itself, by its collection, or with the eye; each where it stands at this frame."""
+        scene, parent = bpy.context.scene, bpy.data.objects.new("parent", None)
+        scene.collection.objects.link(parent)
+        parent.rotation_euler = (pi / 2, 0, 0)
+        add_sun(energy=1.0).hide_viewport = True
+        collection = bpy.data.collections.new("off")
+        scene.collection.children.link(collection)
+        add_sun(collection, energy=2.0).parent = parent
+        collection.hide_viewport = True
+        moving = add_sun(energy=3.0)
+        moving.keyframe_insert("rotation_euler", frame=1)
+        moving.rotation_euler = (0, pi / 2, 0)
+        moving.keyframe_insert("rotation_euler", frame=2)
+        moving.hide_viewport = True
+        eye = add_sun(energy=4.0, rotation=(pi, 0, 0))
+        eye.hide_set(True)
+        scene.frame_set(2)
+        names = set(bpy.data.objects.keys())
+        directions = {sun.irradiance: sun.direction for sun in lights()}
+        assert directions == {
+            1.0: pytest.approx((0, 0, -1)),
+            2.0: pytest.approx((0, 1, 0), abs=1e-6),
+            3.0: pytest.approx((-1, 0, 0), abs=1e-6),
+            4.0: pytest.approx((0, 0, 1), abs=1e-6),
+        }
+        assert set(bpy.data.objects.keys()) == names
+        assert moving.hide_viewport
+        assert collection.hide_viewport
+
+    def test_one_in_two_collections_counts_once(self):
+        collection = bpy.data.collections.new("too")
+        bpy.context.scene.collection.children.link(collection)
+        collection.objects.link(add_sun())
+        assert len(lights()) == 1
+
+    def test_one_in_an_excluded_collection_is_left_out(self):
+        collection = bpy.data.collections.new("out")
+        bpy.context.scene.collection.children.link(collection)
+        add_sun(collection, energy=2.0)
+        bpy.context.view_layer.layer_collection.children["out"].exclude = True
+        add_sun(energy=1.0)
+        assert [sun.irradiance for sun in lights()] == [1.0]
+
     def test_other_lamps_do_not_count(self):
         lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
         bpy.context.collection.objects.link(lamp)
@@ -129,9 +173,10 @@ class TestWorld:
         assert lights() == [Sky(0.5)]
 
     def test_beside_a_sun(self):
-        add_world()
-        add_sun()
+        add_world(strength=0.5)
+        add_sun(energy=2.0)
         assert [type(light) for light in lights()] == [Sun, Sky]
+        assert [light.spectrum for light in lights()] == [2, 0.5]
 
     def test_environment_averages_over_solid_angle(self):
         """Radiance 1 above 45 degrees of latitude: (1 - sin 45)/2 of the sphere."""
@@ -152,7 +197,15 @@ class TestWorld:
         tree = world.node_tree
         sky = tree.nodes.new("ShaderNodeTexSky")
         tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
-        with pytest.raises(LightError, match="Sky Texture"):
+        with pytest.raises(LightError, match=r"'Sky Texture'.*; use a plain value or an image\.$"):
+            lights()
+
+    def test_a_node_that_is_no_background_is_refused(self):
+        tree = add_world().node_tree
+        shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
+        output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")
+        tree.links.new(shader.outputs[0], output.inputs["Surface"])
+        with pytest.raises(LightError, match=r"'Diffuse BSDF'.*; replace it\.$"):
             lights()
 
     def test_no_light_at_all(self):

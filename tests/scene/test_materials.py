@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene.materials import Leaf, grey, leaf_optics, volume_optics
+from lb_lighting.scene.materials import (
+    Leaf,
+    grey,
+    has_volume,
+    leaf_optics,
+    tinted,
+    volume_optics,
+    volume_shines,
+)
 from lb_lighting.transport.medium import Optics
 
 COLOR = (0.9, 0.6, 0.3)
@@ -250,6 +258,50 @@ class TestVolume:
         seen = render()
         optics = volume_optics(material).optics
         assert -np.log(seen) == pytest.approx(np.add(optics.sigma_s, optics.sigma_a), rel=0.03)
+
+
+class TestShining:
+    @pytest.mark.parametrize(
+        ("inputs", "shines"),
+        [
+            ({}, False),
+            ({"Emission_Strength": 0.5}, True),
+            ({"Blackbody_Intensity": 0.1}, True),
+        ],
+    )
+    def test_principled(self, inputs, shines):
+        assert volume_shines(volume("ShaderNodeVolumePrincipled", **inputs)) == shines
+
+    def test_emission_that_an_attribute_drives_beside_a_scatter_node(self):
+        """However the two are mixed, and inside of a group."""
+        material, group = make_material(), bpy.data.node_groups.new("fire", "ShaderNodeTree")
+        group.interface.new_socket("Volume", in_out="OUTPUT", socket_type="NodeSocketShader")
+        flame = group.nodes.new("ShaderNodeAttribute")
+        shader = add_node(group, "ShaderNodeEmission", Strength=flame.outputs["Factor"])
+        group.links.new(shader.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
+        tree = material.node_tree
+        fire = tree.nodes.new("ShaderNodeGroup")
+        fire.node_tree = group
+        noise = tree.nodes.new("ShaderNodeTexNoise").outputs[0]
+        both = combine(tree, add_node(tree, "ShaderNodeVolumeScatter"), fire, noise)
+        assert volume_shines(connect(material, both, "Volume"))
+
+    def test_what_does_not_reach_the_volume(self):
+        material = volume("ShaderNodeVolumeScatter")
+        assert not volume_shines(connect(material, material.node_tree.nodes[-1], "Volume"))
+        glow = surface("ShaderNodeEmission", Strength=3.0)
+        assert not volume_shines(glow)
+        assert not has_volume(glow)
+        assert not volume_shines(None)
+
+
+def test_tint_takes_from_what_is_scattered():
+    found = tinted(Optics((2.0,), (1.0,), 0.9), np.array((1, 0.5, 0)))
+    assert found == Optics((2, 1, 0), (1, 2, 3), 0.9)
+
+
+def test_white_tint_changes_nothing():
+    assert tinted(Optics(2.0, 1.0, 0.9), np.ones(3)) == Optics(2, 1, 0.9)
 
 
 class TestLeaf:

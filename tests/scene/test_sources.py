@@ -29,6 +29,20 @@ def share(ob, **choices):
     return found
 
 
+def add_nodes(ob, kind, material=None):
+    """Let geometry nodes replace the geometry of `ob` by that of one node."""
+    tree = bpy.data.node_groups.new("nodes", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    geometry = tree.nodes.new(kind).outputs[0]
+    if material:
+        setter = tree.nodes.new("GeometryNodeSetMaterial")
+        setter.inputs["Material"].default_value = material
+        tree.links.new(geometry, setter.inputs[0])
+        geometry = setter.outputs[0]
+    tree.links.new(geometry, tree.nodes.new("NodeGroupOutput").inputs[0])
+    ob.modifiers.new("nodes", "NODES").node_group = tree
+
+
 def extinction(optics):
     return np.max(np.add(optics.sigma_s, optics.sigma_a))
 
@@ -62,6 +76,36 @@ class TestRoles:
         balls = [scenery.add_ball(role="SOLID", material=m) for m in (fog, glass, None)]
         found, _notes = read(*balls)
         assert [source.is_volume for source in found] == [True, False, False]
+        assert [source.shows_light for source in found] == [False, True, True]
+
+    def test_light_shows_on_leaves_but_not_on_what_stops_it(self, tmp_path):
+        fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
+        found, _notes = read(fog, leaves, scenery.add_ball(role="OCCLUDER"))
+        assert [source.shows_light for source in found] == [False, True, False]
+
+    @pytest.mark.parametrize("how", ["object", "eye", "collection"])
+    def test_hidden_is_named(self, how):
+        ob = scenery.add_leaves()
+        if how == "object":
+            ob.hide_viewport = True
+        elif how == "eye":
+            ob.hide_set(True)
+        else:
+            collection = bpy.data.collections.new("off")
+            bpy.context.scene.collection.children.link(collection)
+            bpy.context.scene.collection.objects.unlink(ob)
+            collection.objects.link(ob)
+            bpy.context.view_layer.layer_collection.children["off"].exclude = True
+        with pytest.raises(SceneError, match=r"^'leaves' is hidden; show it to light it\.$"):
+            read(ob)
+
+    def test_a_preset_fills_what_the_nodes_make_unreadable(self):
+        material = scenery.volume_material()
+        noise = material.node_tree.nodes.new("ShaderNodeTexNoise").outputs[0]
+        principled = material.node_tree.nodes["Principled Volume"]
+        material.node_tree.links.new(noise, principled.inputs["Density"])
+        ((source,), _notes) = read(scenery.add_ball(material=material), medium="cloud")
+        assert type(source) is sources.SolidSource
 
     def test_a_curve_is_lit_by_its_surface(self):
         bpy.ops.curve.primitive_bezier_circle_add()
@@ -119,7 +163,40 @@ class TestVolumes:
 
     def test_no_material_is_told(self, tmp_path):
         (_found, notes) = read(scenery.add_fog(tmp_path, material=False))
-        assert notes == ["'fog' has no volume material; the preset stands in."]
+        assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
+
+    @pytest.mark.parametrize("medium", [FROM_MATERIAL, "cloud"])
+    def test_own_light_is_told(self, tmp_path, medium):
+        ob = scenery.add_fog(tmp_path)
+        assert read(ob, medium=medium)[1] == []
+        principled = ob.active_material.node_tree.nodes["Principled Volume"]
+        principled.inputs["Emission Strength"].default_value = 1
+        told = "'fog' shines by itself; Replace leaves that out, Add keeps it."
+        assert read(ob, medium=medium)[1] == [told]
+
+    def test_one_that_is_scaled_to_nothing_is_refused(self, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.scale, ob.rotation_euler = (1, 0, 1), (0.3, 0.2, 0.1)
+        with pytest.raises(SceneError, match=r"^'fog' is scaled to nothing along an axis; give"):
+            read(ob)
+
+    def test_made_by_the_nodes_of_a_mesh(self):
+        ob, fog = scenery.add_ball(), scenery.volume_material(density=2.0)
+        add_nodes(ob, "GeometryNodeVolumeCube", fog)
+        ob.location = (0.2, 0, 0)
+        ob.lb_lighting.role = "FOLIAGE"
+        ((source,), notes) = read(ob)
+        assert type(source) is sources.VolumeSource
+        assert notes == []
+        assert np.mean(source.bounds, axis=0) == pytest.approx((0.2, 0, 0), abs=0.05)
+        (found,) = source.shares(DOMAIN)
+        assert extinction(found.optics) == pytest.approx(2)
+        assert found.density[8:12, 8:12, 8:12] == pytest.approx(1, rel=1e-3)
+
+    def test_made_by_nodes_that_set_no_material(self):
+        ob = scenery.add_ball(material=scenery.volume_material(density=3.0))
+        add_nodes(ob, "GeometryNodeVolumeCube")
+        assert extinction(share(ob).optics) == pytest.approx(3)
 
 
 class TestSurfaces:
@@ -151,6 +228,27 @@ class TestSurfaces:
         assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.05)
         assert extinction(found.optics) * LONGEST == pytest.approx(7)
 
+    def test_solid_is_filled_by_the_first_material_that_has_a_volume(self):
+        ob = scenery.add_ball(material=scenery.leaf_material())
+        ob.data.materials.append(scenery.volume_material(density=5.0))
+        ob.data.polygons[0].material_index = 1
+        ((source,), notes) = read(ob)
+        assert extinction(source.shares(DOMAIN)[0].optics) == pytest.approx(5)
+        assert notes == []
+        ob.data.materials.append(scenery.volume_material(density=6.0))
+        ob.data.polygons[1].material_index = 2
+        told = "'ball' has several volume materials; the first fills it all."
+        assert read(ob)[1] == [told]
+
+    @pytest.mark.parametrize(("role", "told"), [("FOLIAGE", 1), ("SOLID", 1), ("OCCLUDER", 0)])
+    def test_instances_of_a_mesh_are_told(self, role, told):
+        parent, child = scenery.add_ball(role=role), scenery.add_ball("child", radius=0.1)
+        child.parent = parent
+        assert len(read(parent, medium="cloud")[1]) == 0
+        parent.instance_type = "VERTS"
+        notes = read(parent, medium="cloud")[1]
+        assert [note.startswith("The instances of 'ball' shade") for note in notes] == [True] * told
+
     def test_occluder_is_no_medium(self):
         ((source,), _notes) = read(scenery.add_ball(role="OCCLUDER"))
         assert source.shares(DOMAIN) == []
@@ -162,34 +260,80 @@ class TestSurfaces:
 class TestMixture:
     ONE, TWO = np.ones((2, 2, 2), np.float32), np.full((2, 2, 2), 3, np.float32)
 
+    DIFFER = "The materials differ in colour or in how they scatter"
+
     def test_the_same_optics_stay(self):
         optics = Optics((3.0, 2.0, 1.0), 0.5, 0.2)
         density, mixed = mixture([Share(self.ONE, optics), Share(self.TWO, optics)])
-        assert density == pytest.approx(self.ONE + self.TWO)
-        assert mixed.sigma_s == pytest.approx((3, 2, 1))
-        assert mixed.sigma_a == pytest.approx((0.5,) * 3)
-        assert mixed.g == pytest.approx((0.2,) * 3)
+        assert np.array_equal(density, self.ONE + self.TWO)
+        assert mixed is optics
 
-    def test_extinction_and_its_parts_keep_their_sums(self):
+    @pytest.mark.parametrize("sigmas", [(10.0, 1000.0), (1e-3, 5.0)])
+    def test_each_keeps_its_extinction(self, sigmas):
+        halves = np.zeros((2, 4, 4, 4), np.float32)
+        halves[0, :2], halves[1, 2:] = 0.5, 3
+        shares = [
+            Share(half, Optics(sigma * albedo, sigma * (1 - albedo)))
+            for half, sigma, albedo in zip(halves, sigmas, (0.9, 0.2), strict=True)
+        ]
+        density, mixed = mixture(shares)
+        sigma_t = mixed.sigma_s + mixed.sigma_a
+        assert density[0] * sigma_t == pytest.approx(0.5 * sigmas[0])
+        assert density[3] * sigma_t == pytest.approx(3 * sigmas[1])
+
+    def test_scattering_and_absorption_keep_their_sums(self):
         shares = [Share(self.ONE, Optics(4.0, 1.0, 0.5)), Share(self.TWO, Optics(2.0, 0.0, -0.1))]
         density, mixed = mixture(shares)
         mass = density.sum()
-        assert mixed.sigma_s[0] * mass == pytest.approx(8 * 4 + 24 * 2)
-        assert mixed.sigma_a[0] * mass == pytest.approx(8 * 1)
-        scattering_times_g = mixed.sigma_s[0] * mixed.g[0] * mass
+        assert mixed.sigma_s * mass == pytest.approx(8 * 4 + 24 * 2)
+        assert mixed.sigma_a * mass == pytest.approx(8 * 1)
+        scattering_times_g = mixed.sigma_s * mixed.g * mass
         assert scattering_times_g == pytest.approx(8 * 4 * 0.5 + 24 * 2 * -0.1)
 
     def test_grey_and_coloured(self):
-        _density, mixed = mixture(
+        density, mixed = mixture(
             [Share(self.ONE, Optics(1.0, 0.0)), Share(self.ONE, Optics((0.0, 1.0, 2.0), 0.0))]
         )
-        assert mixed.sigma_s == pytest.approx((0.5, 1, 1.5))
+        assert density == pytest.approx(self.TWO)
+        assert np.multiply(mixed.sigma_s, 3) == pytest.approx((1, 2, 3))
 
     def test_pure_absorption_has_no_mean_cosine(self):
-        _density, mixed = mixture([Share(self.ONE, Optics(0.0, 1.0, 0.7))])
-        assert mixed.g == (0,)
+        _density, mixed = mixture([Share(self.ONE, Optics(0.0, s, 0.7)) for s in (1.0, 2.0)])
+        assert mixed.g == 0
 
-    @pytest.mark.parametrize("shares", [[], [Share(np.zeros((2, 2, 2)), Optics(1.0, 0.0))]])
+    def test_what_light_does_not_meet_does_not_count(self):
+        optics, clear = Optics(3.0, 1.0, 0.5), Optics(0.0, 0.0, 0.0)
+        nowhere = Share(0 * self.ONE, Optics((1.0, 2.0, 3.0), 0.0))
+        density, mixed = mixture([Share(self.TWO, optics), Share(self.ONE, clear), nowhere])
+        assert mixed is optics
+        assert np.array_equal(density, self.TWO)
+
+    @pytest.mark.parametrize(
+        ("second", "told"),
+        [
+            (Optics(2.0, 2.0, 0.5), False),
+            (Optics(40.0, 40.0, 0.5), False),
+            (Optics(3.0, 1.0, 0.5), True),
+            (Optics((2.0, 2.0, 1.0), 2.0, 0.5), True),
+            (Optics(2.0, 2.0, 0.4), True),
+        ],
+    )
+    def test_what_is_a_mean_is_told(self, second, told):
+        reader = Reader(None, FROM_MATERIAL, 30, "")
+        shares = [Share(self.ONE, Optics(2.0, 2.0, 0.5)), Share(self.ONE, second)]
+        density, optics = reader.mixture(shares)
+        assert np.array_equal(density, mixture(shares)[0])
+        assert optics == mixture(shares)[1]
+        assert [note.startswith(self.DIFFER) for note in reader.notes] == [True] * told
+
+    @pytest.mark.parametrize(
+        "shares",
+        [
+            [],
+            [Share(np.zeros((2, 2, 2)), Optics(1.0, 0.0))],
+            [Share(np.ones((2, 2, 2)), Optics(0.0, 0.0))],
+        ],
+    )
     def test_nothing_to_light(self, shares):
         with pytest.raises(SceneError, match="no density to light here"):
             mixture(shares)

@@ -91,6 +91,21 @@ class TestWorldParts:
         cube, _other = add_cube("a"), add_cube("b")
         assert {part.object for part in parts_of(cube)} == {cube}
 
+    def test_own_mesh_and_its_instances_are_told_apart(self):
+        parent = add_cube("parent", Matrix.Scale(4, 4))
+        parent.instance_type = "VERTS"
+        child = add_object(parent.data, "child")
+        child.parent = parent
+        parts = parts_of(parent)
+        assert {part.instanced: len(part.triangles) for part in parts} == {False: 12, True: 96}
+
+    def test_vertices_that_are_not_finite(self):
+        mesh = add_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+        mesh.vertices[1].co.x = np.nan
+        ob = add_object(mesh, "broken")
+        with pytest.raises(SceneError, match=r"^'broken' has vertices that are not finite; repair"):
+            parts_of(ob)
+
     def test_split_by_material_slot(self):
         mesh = add_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0), (5, 5, 0)], [(0, 1, 2), (1, 3, 2)])
         materials = [bpy.data.materials.new(name) for name in "ab"]
@@ -156,6 +171,7 @@ class TestWorldParts:
         top.scale = (2, 2, 2)
         (part,) = parts_of(top)
         assert part.object == top
+        assert part.instanced
         assert part.triangles.mean(axis=(0, 1)) == pytest.approx([0, 0, 6])
         assert area_of(part.triangles) == pytest.approx(24)
 
@@ -331,9 +347,16 @@ class TestSolidFraction:
         assert volume * domain.voxel_size**3 == pytest.approx(4.1, rel=0.15)
 
     def test_open_mesh_is_refused(self):
-        square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-        triangles = square[[[0, 1, 2], [0, 2, 3]]]
-        with pytest.raises(SceneError, match="not closed"):
+        cube = triangles_of(add_cube())
+        corner = cube[(cube.max(axis=1) == cube.min(axis=1)).any(axis=1)][:4]
+        with pytest.raises(SceneError, match=r"^The mesh is not closed, or .* foliage instead\.$"):
+            voxelize.solid_fraction(corner, domain_of(cube))
+
+    @pytest.mark.parametrize("turn", [(0, 0, 0), (0.4, 0.9, -0.3)])
+    def test_flat_mesh_is_refused(self, turn):
+        matrix = Euler(turn).to_matrix().to_4x4() @ Matrix.Diagonal((1, 1, 0, 1))
+        triangles = triangles_of(add_cube(matrix=matrix))
+        with pytest.raises(SceneError, match=r"^The mesh is flat; give it a thickness"):
             voxelize.solid_fraction(triangles, domain_of(triangles))
 
     def test_outside_of_the_domain(self):

@@ -7,8 +7,9 @@ import pytest
 from lb_lighting.errors import DeviceError
 from lb_lighting.transport import Medium, Settings, Sky, Sun, device, solve
 from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper import KERNELS, PaperLattice
+from lb_lighting.transport.paper import PaperLattice
 from lb_lighting.transport.reference import ReferenceLattice
+from lb_lighting.transport.solver import KERNELS
 
 OPENCL = [found for found in device.devices() if found.kind != "NumPy"]
 SHAPES = [(23, 14, 37), (5, 31, 9), (3, 3, 50)]
@@ -41,16 +42,16 @@ def test_kernel_follows_the_reference(found, kernel, keep_absorbed, occluded, sh
     medium = random_medium(shape, occluded=occluded)
     inflow, omega = np.linspace(0, 1, 19), collision_matrix(0.792, 0.108, 0.6)
     lattices = (
-        ReferenceLattice(medium, keep_absorbed, device.numpy_device()),
+        ReferenceLattice(medium, keep_absorbed),
         PaperLattice(medium, keep_absorbed, found, kernel),
     )
-    states = []
     for lattice in lattices:
         lattice.start(inflow, omega)
         lattice.advance(50)
-        states.append(lattice.read())
-    for values, expected in zip(states[1], states[0], strict=True):
-        assert relative(values, expected) <= 1e-5
+    for previous in (False, True):
+        reference, paper = (lattice.read(previous) for lattice in lattices)
+        with reference as expected, paper as values:
+            assert relative(values, expected) <= 1e-5
 
 
 @pytest.mark.parametrize("found", OPENCL, ids=lambda found: found.platform.split(",")[0])
@@ -72,7 +73,7 @@ def test_too_large_a_grid_is_refused_before_allocation():
     small = device.Device("Small", "Test", "CPU", memory=10 * 2**20, largest_buffer=4 * 2**20)
 
     def plan(shape):
-        return PaperLattice.buffers(shape, "final", None)
+        return PaperLattice.buffers(shape, "final", occluded=False), 0
 
     with pytest.raises(DeviceError, match=r"largest resolution that fits is (\d+)\.") as refusal:
         device.require_memory(small, (80, 60, 40), plan)

@@ -35,6 +35,7 @@ def spoiled(value, voxel=(1, 2, 3)):
     return density
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -49,12 +50,15 @@ def spoiled(value, voxel=(1, 2, 3)):
         ({"density": np.ones((0, 4, 5))}, "at least one voxel"),
         ({"voxel_size": 0}, "voxel size must be positive"),
         ({"voxel_size": np.nan}, "voxel size must be positive"),
-        ({"sigma_s": -1}, "sigma_s must be finite and not negative; in band 0"),
-        ({"sigma_a": (0, np.inf)}, "sigma_a must be finite and not negative; in band 1"),
+        ({"voxel_size": np.inf}, "voxel size must be positive"),
+        ({"sigma_s": (1, 1e39)}, "sigma_s must be between 0 and 3.4e.38; in band 1"),
+        ({"sigma_s": -1}, "sigma_s must be between 0 and 3.4e.38; in band 0"),
+        ({"sigma_a": (0, np.inf)}, "sigma_a must be between 0 and 3.4e.38; in band 1"),
         ({"g": 1}, "g must be between -1 and 1"),
         ({"g": np.nan}, "g must be between"),
         ({"sigma_s": (1, 1), "sigma_a": (1, 1, 1)}, "agree on the number of bands"),
         ({"origin": (0, np.nan, 0)}, "origin"),
+        ({"emission": spoiled(1e39)}, "emission is not finite"),
         ({"emission": spoiled(-1)}, "emission is negative"),
         ({"emission": np.ones((2, 2, 2))}, "emission has shape"),
         ({"occlusion": ONES * 1.1}, "occlusion must be at most 1"),
@@ -88,9 +92,11 @@ def test_too_low_a_resolution_is_refused(resolution):
         Domain.around((0, 0, 0), (1, 1, 1), resolution, padding=2)
 
 
-def test_empty_box_is_refused():
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("corner", [0, np.nan, np.inf])
+def test_box_without_extent_is_refused(corner):
     with pytest.raises(MediumError, match="no extent"):
-        Domain.around((1, 1, 1), (1, 1, 1), 64)
+        Domain.around((corner, 0, 0), (corner, 0, 0), 64)
 
 
 def test_voxel_centres_are_integers():
@@ -107,6 +113,13 @@ def test_paper_units_are_collision_probabilities():
     np.testing.assert_allclose(p, 1 - np.exp(-4.0 * 0.2 * density[:, 0, 0]), rtol=1e-6)
     np.testing.assert_allclose(medium.sigma_t, (1.0, 1.5 / 4))
     np.testing.assert_allclose(medium.albedo, (0.75, 1 / 1.5))
+
+
+@pytest.mark.filterwarnings("error")
+def test_paper_units_of_extremes_are_certainties():
+    density = np.array([0, 1e-3, 3e38]).reshape(3, 1, 1)
+    medium = paper_units(Medium(density, 3e38, 3e38, 3e38))
+    np.testing.assert_array_equal(medium.density[:, 0, 0], [0, 1, 1])
 
 
 def test_paper_units_of_vacuum_are_vacuum():

@@ -4,7 +4,7 @@
 import numpy as np
 
 from lb_lighting.transport.lattice import DIRECTIONS, WEIGHTS, collision_matrix
-from lb_lighting.transport.reference import initial_light, step
+from lb_lighting.transport.reference import set_initial_light, step
 
 SHAPE = (6, 5, 7)
 INFLOW = np.linspace(0, 1, 19)
@@ -12,6 +12,12 @@ INFLOW = np.linspace(0, 1, 19)
 
 def random_light(seed=0):
     return np.random.default_rng(seed).random((19, *SHAPE))
+
+
+def initial_light(shape, inflow):
+    f = np.empty((19, *shape))
+    set_initial_light(f, inflow)
+    return f
 
 
 def test_step_is_equation_2_node_by_node():

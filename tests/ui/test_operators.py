@@ -87,7 +87,7 @@ class TestBake:
         scenery.select(scenery.add_fog(tmp_path, material=False))
         bpy.ops.lb_lighting.bake()
         told = capfd.readouterr().out
-        assert "Warning: 'fog' has no volume material; the preset stands in." in told
+        assert "Warning: 'fog' has no volume material; the preset 'cloud' stands in." in told
         assert "Warning: Solved with NumPy; an OpenCL driver" in told
 
     def test_again_without_a_new_selection(self, scene, tmp_path):
