@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import LightError
+from .medium import LARGEST
 
 
 @dataclass(frozen=True)
@@ -92,5 +93,5 @@ def by_band(value, bands):
 
 def _check_energy(value, what):
     value = np.asarray(value, float)
-    if not np.all(np.isfinite(value)) or np.any(value < 0):
-        raise LightError(f"The {what} must be finite and not negative; it is {value}.")
+    if not np.all((value >= 0) & (value <= LARGEST)):  # NaN is neither
+        raise LightError(f"The {what} must be between 0 and {LARGEST:.2g}; it is {value}.")

@@ -171,6 +171,8 @@ def test_lights_without_a_place_are_refused(lights, words):
         lambda: Sun((0, 0, np.nan), 1.0),
         lambda: Sun((0, 0, -1), -1.0),
         lambda: Sky(np.inf),
+        lambda: Sky((0.0, np.nan)),
+        lambda: Sky(1e39),
         lambda: PointLight((0, np.inf, 0), 1.0),
     ],
 )
