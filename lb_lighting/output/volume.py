@@ -189,10 +189,8 @@ def _openvdb():
 def _grids(domain, density, light):
     """`lb_light` and `density` as OpenVDB grids, sparse where there is nothing to light."""
     openvdb = _openvdb()
-    # VDB puts voxel centres at integers; our origin is the corner of the first voxel.
-    to_world = np.diag([domain.voxel_size] * 3 + [1.0])
-    to_world[3, :3] = np.add(domain.origin, domain.voxel_size / 2)
-    transform = openvdb.createLinearTransform(to_world.tolist())
+    # As ours, OpenVDB's voxel centres are at integers; its matrices multiply from the right.
+    transform = openvdb.createLinearTransform(domain.index_to_world.T.tolist())
 
     density = np.asarray(density, np.float32)
     light = np.pad(light, [(0, 0)] + [(MARGIN, MARGIN)] * 3, mode="edge")

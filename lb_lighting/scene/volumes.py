@@ -85,7 +85,7 @@ def resample(grid, matrix_world, domain):
     Raises SceneError for values that are negative or not finite.
     """
     matrix = np.asarray(matrix_world) @ _index_to_object(grid)
-    to_grid = np.linalg.inv(matrix) @ _lattice_to_world(domain)
+    to_grid = np.linalg.inv(matrix) @ domain.index_to_world
     lower, upper = box_bounds((-0.5,) * 3, np.subtract(domain.shape, 0.5), to_grid)
     active_lower, active_upper = _active_box(grid)
     # One voxel more, because a value reaches as far as the next voxel's centre.
@@ -111,7 +111,7 @@ def resample_array(values, index_to_world, domain):
     The integral over space is kept: a fine grid is averaged in blocks of about half a domain voxel
     or more, and the blocks are sampled about as densely as they lie.
     """
-    to_index = np.linalg.inv(index_to_world) @ _lattice_to_world(domain)
+    to_index = np.linalg.inv(index_to_world) @ domain.index_to_world
     values, to_index = _coarsened(values, to_index)
     result = np.zeros(domain.shape, np.float32)
     if not values.size:
@@ -185,13 +185,6 @@ def _refuse_bad_voxels(values, name):
 def _translation(vector):
     matrix = np.eye(4)
     matrix[:3, 3] = vector
-    return matrix
-
-
-def _lattice_to_world(domain):
-    """(4, 4): voxel centres of `domain`, at integers, to m."""
-    matrix = np.diag([domain.voxel_size] * 3 + [1.0])
-    matrix[:3, 3] = np.add(domain.origin, domain.voxel_size / 2)
     return matrix
 
 

@@ -58,6 +58,13 @@ class Domain:
         """(3,) m, the corner opposite to `origin`."""
         return tuple(np.add(self.origin, np.multiply(self.shape, self.voxel_size)))
 
+    @property
+    def index_to_world(self):
+        """(4, 4), m: voxel centres, at integers, to their places in world space."""
+        matrix = np.diag([self.voxel_size] * 3 + [1.0])
+        matrix[:3, 3] = np.add(self.origin, self.voxel_size / 2)
+        return matrix
+
     def to_index(self, points):
         """World points (..., 3) m -> continuous voxel coordinates; voxel centres are integers."""
         return (np.asarray(points, float) - self.origin) / self.voxel_size - 0.5

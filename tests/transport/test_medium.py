@@ -101,9 +101,10 @@ def test_box_without_extent_is_refused(corner):
 
 def test_voxel_centres_are_integers():
     domain = Domain((1, 2, 3), 0.5, (2, 3, 4))
-    np.testing.assert_allclose(
-        domain.to_index(domain.centers()), np.stack(np.indices((2, 3, 4)), axis=-1), atol=1e-12
-    )
+    indices = np.stack(np.indices((2, 3, 4)), axis=-1)
+    np.testing.assert_allclose(domain.to_index(domain.centers()), indices, atol=1e-12)
+    matrix = domain.index_to_world
+    np.testing.assert_allclose(indices @ matrix[:3, :3].T + matrix[:3, 3], domain.centers())
 
 
 def test_paper_units_are_collision_probabilities():
