@@ -9,12 +9,16 @@ from pathlib import Path
 from time import perf_counter
 
 import bpy
+import numpy as np
 
 bpy.utils.expose_bundled_modules()
 
-import lb_lighting  # noqa: E402 - OpenVDB has to be exposed first
+import openvdb  # noqa: E402 - only now is it exposed
+
+import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.output.volume import DENSITY_GRID  # noqa: E402
 
 from . import scenes  # noqa: E402
 
@@ -46,8 +50,23 @@ def light(name, objects, changes):
     chosen = [scene.objects[ob] for ob in objects]
     options = bake.Options.of(scene, folder=str(OUTPUT), **changes)
     outcome = bake.bake(bpy.context, chosen, options)
-    print(f"{name}: {outcome.summary}", *outcome.notes, sep="\n  ")
+    print(f"{name}: {outcome.summary}", fall_off(outcome), *outcome.notes, sep="\n  ")
     bpy.ops.wm.save_as_mainfile(filepath=str(OUTPUT / f"{name}.blend"), compress=True)
+
+
+def fall_off(outcome):
+    """A line on how much light is left where the sun's light leaves the medium."""
+    density = openvdb.read(str(outcome.path), DENSITY_GRID)
+    values = np.empty(outcome.field.domain.shape, np.float32)
+    density.copyToArray(values)
+    filled = values > 0
+    along = outcome.field.domain.centers()[filled] @ scenes.SUN
+    light = outcome.field.fluence.mean(axis=0)[filled]
+    lit, far = (
+        np.average(light[part])
+        for part in (along <= np.quantile(along, 0.1), along >= np.quantile(along, 0.9))
+    )
+    return f"fluence: {lit:.2f} W/m^2 in the tenth towards the sun, {far:.2f} in the tenth away"
 
 
 def set_up_render(name):
