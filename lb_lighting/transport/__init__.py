@@ -8,29 +8,40 @@ from ..errors import (
     LightingError,
     MediumError,
     SettingsError,
+    SolverError,
 )
-from .field import Field, Report
+from .field import Field, Handed, Report
+from .free_path import SAMPLERS, FreePathSampler, sample_free_paths
 from .lights import PointLight, Sky, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
+from .perlin import PerlinMedium
+from .photons import trace
 from .solver import Settings, solve
 
 __all__ = [
     "PRESETS",
+    "SAMPLERS",
     "Cancelled",
     "DeviceError",
     "Domain",
     "Field",
+    "FreePathSampler",
+    "Handed",
     "LightError",
     "LightingError",
     "Medium",
     "MediumError",
     "Optics",
+    "PerlinMedium",
     "PointLight",
     "Report",
     "Settings",
     "SettingsError",
     "Sky",
+    "SolverError",
     "Sun",
     "paper_units",
+    "sample_free_paths",
     "solve",
+    "trace",
 ]

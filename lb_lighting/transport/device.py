@@ -181,22 +181,24 @@ def queue(device):
 
 
 @cache
-def program(device, source, defines):
+def program(device, sources, defines):
     """A built program, kept for the process; pyopencl keeps the binary for later ones.
 
-    source   name of a file in kernels/
+    sources  name of a file in kernels/, or names of files to be built as one
     defines  tuple of "NAME" or "NAME=value"
     """
     import pyopencl as cl
 
+    names = (sources,) if isinstance(sources, str) else sources
+    text = "\n".join((_SOURCES / name).read_text() for name in names)
     options = [*_BUILD_OPTIONS.split(), *(f"-D{define}" for define in defines)]
     try:
         with warnings.catch_warnings():
             # Drivers chat about how well they optimized; errors come as exceptions.
             warnings.simplefilter("ignore", cl.CompilerWarning)
-            return cl.Program(context(device), (_SOURCES / source).read_text()).build(options)
+            return cl.Program(context(device), text).build(options)
     except cl.RuntimeError as error:
         raise DeviceError(
-            f"{device.label} cannot build {source}; update its driver or choose another device. "
-            f"The driver said: {error}"
+            f"{device.label} cannot build {', '.join(names)}; update its driver or choose another "
+            f"device. The driver said: {error}"
         ) from error

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a solver returns: light in every voxel, and how it was found."""
 
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from time import perf_counter
 
 import numpy as np
 
@@ -19,6 +21,13 @@ class Report:
     seconds   {stage: seconds}
     bytes     memory that the solver allocated, bytes
     runs      bands that were really solved; the others are multiples of them
+
+    Of traced photons alone:
+    photons     how many were traced
+    lost        how many were given up after too many steps
+    collisions  (bands,) real ones, of all photons
+    energy      {where: W}: "entered" (bands,) is the sum of "absorbed" (bands,), "left" (bands, 6)
+                through the faces -x, +x, -y, +y, -z, +z, "handed" over and "lost" (bands,)
     """
 
     model: str
@@ -28,6 +37,45 @@ class Report:
     seconds: dict = field(default_factory=dict)
     bytes: int = 0
     runs: int = 0
+    photons: int = 0
+    lost: int = 0
+    collisions: np.ndarray | None = None
+    energy: dict = field(default_factory=dict)
+
+
+class Clock:
+    """Adds up seconds by stage."""
+
+    def __init__(self):
+        self.seconds = {}
+
+    @contextmanager
+    def __call__(self, stage):
+        start = perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - start
+
+
+@dataclass
+class Handed:
+    """Light that a tracer hands over, by the voxel of the collision at which it stops.
+
+    power      (bands, nx, ny, nz) W, of the photons after that collision
+    position   (bands, 3, nx, ny, nz) W m, power times the place from the voxel's centre
+    direction  (bands, 3, nx, ny, nz) W, power times the unit direction before the collision
+    """
+
+    power: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
+
+    @classmethod
+    def empty(cls, bands, shape):
+        return cls(
+            np.zeros((bands, *shape), np.float32),
+            np.zeros((bands, 3, *shape), np.float32),
+            np.zeros((bands, 3, *shape), np.float32),
+        )
 
 
 @dataclass
@@ -37,17 +85,20 @@ class Field:
     domain    where the voxels are
     fluence   (bands, nx, ny, nz) W/m^2, scattered light; in the paper's model all light
     direct    (bands, nx, ny, nz) W/m^2, unscattered light; in the paper's model zero
-    flux      (bands, 3, nx, ny, nz) W/m^2, net flux of what `fluence` counts
+    flux      (bands, 3, nx, ny, nz) W/m^2, net flux of what `fluence` counts; None where a trace
+              was asked for none
     variance  (bands, nx, ny, nz) of the fluence, (W/m^2)^2, where the solver is random, else None
     report    a `Report`
+    handed    a `Handed` where photons were handed over, else None
     """
 
     domain: Domain
     fluence: np.ndarray
     direct: np.ndarray
-    flux: np.ndarray
+    flux: np.ndarray | None
     report: Report
     variance: np.ndarray | None = None
+    handed: Handed | None = None
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

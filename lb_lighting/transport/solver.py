@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lattice solve: a medium and its lights go in, a field of light comes out."""
 
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
-from time import perf_counter
 
 import numpy as np
 
 from ..errors import Cancelled, LightError, MediumError, SettingsError
 from . import device as devices
-from .field import Field, Report
+from .field import Clock, Field, Report
 from .lattice import UNIT, WEIGHTS, collision_matrix
 from .lights import Sky, Sun, by_band
 from .medium import SMALLEST_EDGE
@@ -67,7 +65,7 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     settings = settings or Settings()
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)
-    clock = _Clock()
+    clock = Clock()
 
     with clock("prepare"):
         used = devices.choose(device)
@@ -244,16 +242,3 @@ def _read(lattice, fluence, flux):
 def _relative_change(now, before):
     norm = float(np.linalg.norm(now))
     return float(np.linalg.norm(now - before)) / norm if norm else 0.0
-
-
-class _Clock:
-    """Adds up seconds by stage."""
-
-    def __init__(self):
-        self.seconds = {}
-
-    @contextmanager
-    def __call__(self, stage):
-        start = perf_counter()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - start

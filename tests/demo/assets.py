@@ -4,16 +4,15 @@
 Everything is in metres with z up; what is fetched is kept in `build/assets`. No Blender here.
 """
 
-import subprocess
-import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import collada
 import m_tree
 import numpy as np
 
-ASSETS = Path(__file__).resolve().parents[2] / "build" / "assets"
+from tests.setup import debian
+
+ASSETS = debian.ASSETS
 TEAPOT = ("assimp-testmodels", "usr/share/assimp/models/Collada/teapot_instancenodes.DAE")
 
 
@@ -119,37 +118,13 @@ def tree(seed=1, leaves=20_000):
 # --- The teapot ----------------------------------------------------------------------------------
 
 
-def apt(state, *command):
-    """Run apt-get with its lists and cache in `state`, so that no root is needed; its exit code."""
-    private = ["-o", f"Dir::State={state}", "-o", f"Dir::Cache={state}/cache"]
-    status = ["-o", "Dir::State::status=/var/lib/dpkg/status", "-o", "APT::Sandbox::User=root"]
-    return subprocess.call(["apt-get", "-qq", *private, *status, *command], cwd=state)
-
-
-def debian_package(name):
-    """The folder with the files of a Debian package, fetched on the first call."""
-    unpacked = ASSETS / name
-    if not unpacked.exists():
-        state = ASSETS / "apt"
-        (state / "lists" / "partial").mkdir(parents=True, exist_ok=True)
-        (state / "cache" / "archives" / "partial").mkdir(parents=True, exist_ok=True)
-        # One of the machine's sources may be down; what counts is whether the download works.
-        apt(state, "update")
-        if apt(state, "download", name) != 0:
-            sys.exit(f"The Debian package {name} cannot be fetched; check apt's sources.")
-        partial = ASSETS / f"{name}.partial"
-        subprocess.run(["dpkg", "-x", next(state.glob(f"{name}_*.deb")), partial], check=True)
-        partial.rename(unpacked)
-    return unpacked
-
-
 def teapot():
     """The teapot (body, lid, handle, spout) -> a mesh of triangles.
 
     It stands on z = 0, centred on the z axis, and is 1 m long from spout to handle.
     """
     package, path = TEAPOT
-    document = collada.Collada(str(debian_package(package) / path))
+    document = collada.Collada(str(debian.package(package) / path))
     # The file holds the same teapot twice, side by side.
     first = next(document.scene.objects("geometry"))
     triangles = next(first.primitives())

@@ -1,0 +1,267 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Photons on free paths: they scatter, lose weight by absorption, and leave scores in a grid of
+// tallies. transport/paths_numpy.py is the twin. Built behind paths.cl, with KEEP_FLUX
+// where the flux is wanted beside the fluence.
+//
+// Scores are whole numbers of UNIT, added in any order to the same sum: a seed gives the same
+// result however a device schedules its work. A tally is 64 bits in two words of 32, which every
+// device can add atomically; all lower words come first in memory, as the upper ones are rarely
+// needed. What is scored together lies side by side.
+
+#define UNIT 0x1p24f // in a weight of 1; one of up to 64 fits a signed word
+
+// What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
+// Of light that has not collided: its weight. Of light that has:
+#define WEIGHT 0 // its weight
+#define FLUX 1   // three, where KEEP_FLUX: weight and direction
+#ifdef KEEP_FLUX
+#define SCATTERED_TALLIES 4
+#else
+#define SCATTERED_TALLIES 1
+#endif
+
+// Of photons that are handed over:
+#define POWER 0     // their weight
+#define POSITION 1  // three: weight and place in the voxel, from -1/2 to 1/2
+#define DIRECTION 4 // three: weight and direction before the last collision
+#define HANDED_TALLIES 7
+
+// What a work-item counts for all its photons.
+#define ABSORBED 0
+#define LEFT_THROUGH 1 // six: faces -x, +x, -y, +y, -z, +z
+#define HANDED 7
+#define LOST 8         // the weight of those that took too many steps
+#define LOST_PHOTONS 9 // how many these are, and so on
+#define VIOLATIONS 10
+#define COLLISIONS 11
+#define SUMS 12
+
+inline long in_units(const float weight)
+{
+    return (long)(int)(weight * UNIT + 0.5f);
+}
+
+inline void add(__global uint *tally, const size_t upper, const float weight)
+{
+    const uint units = (uint)(int)(weight * UNIT + 0.5f);
+    const uint before = atomic_add(tally, units);
+    if (before + units < before)
+        atomic_inc(tally + upper);
+}
+
+inline void add_vector(__global uint *tally, const size_t upper, const float weight,
+                       const float x, const float y, const float z)
+{
+    add(tally, upper, weight * (0.5f * x + 0.5f));
+    add(tally + 1, upper, weight * (0.5f * y + 0.5f));
+    add(tally + 2, upper, weight * (0.5f * z + 0.5f));
+}
+
+// Where the tallies lie: voxel (0, 0, 0) begins at `lower`, 1 / per_cell fine cells an edge.
+typedef struct {
+    int nx, ny, nz;
+    float lower, per_cell;
+    size_t voxels;
+} Tallies;
+
+#define TALLIES_PARAMETERS                                                                 \
+    const int tally_nx, const int tally_ny, const int tally_nz, const float tally_lower,   \
+        const float per_cell
+#define TALLIES                                                                            \
+    (Tallies)                                                                              \
+    {                                                                                      \
+        tally_nx, tally_ny, tally_nz, tally_lower, per_cell,                               \
+            (size_t)tally_nx *tally_ny *tally_nz                                           \
+    }
+
+// The voxel where a flight is at `t`, and its place from the voxel's lower corner.
+inline size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, float *y, float *z)
+{
+    *x = (p->ox + t * p->dx - v.lower) * v.per_cell;
+    *y = (p->oy + t * p->dy - v.lower) * v.per_cell;
+    *z = (p->oz + t * p->dz - v.lower) * v.per_cell;
+    const int i = clamp((int)*x, 0, v.nx - 1);
+    const int j = clamp((int)*y, 0, v.ny - 1);
+    const int k = clamp((int)*z, 0, v.nz - 1);
+    *x -= i;
+    *y -= j;
+    *z -= k;
+    return ((size_t)i * v.ny + j) * v.nz + k;
+}
+
+// Score a flight, up to where it has come, at the points that are due; when the next one is.
+inline float score(const Path *p, const Tallies v, float at, const float spacing,
+                   const float weight, const int collisions, __global uint *direct,
+                   __global uint *scattered)
+{
+    for (; at < p->t; at += spacing) {
+        float x, y, z;
+        const size_t voxel = voxel_at(p, v, at, &x, &y, &z);
+        if (collisions > 0) {
+            __global uint *tally = scattered + SCATTERED_TALLIES * voxel;
+            const size_t upper = SCATTERED_TALLIES * v.voxels;
+            add(tally + WEIGHT, upper, weight);
+#ifdef KEEP_FLUX
+            add_vector(tally + FLUX, upper, weight, p->dx, p->dy, p->dz);
+#endif
+        } else {
+            add(direct + voxel, v.voxels, weight);
+        }
+    }
+    return at;
+}
+
+inline void hand_over(const Path *p, const Tallies v, const float weight, __global uint *handed)
+{
+    float x, y, z;
+    const size_t voxel = voxel_at(p, v, p->t, &x, &y, &z);
+    __global uint *tally = handed + HANDED_TALLIES * voxel;
+    const size_t upper = HANDED_TALLIES * v.voxels;
+    add(tally + POWER, upper, weight);
+    add_vector(tally + POSITION, upper, weight, clamp(x, 0.0f, 1.0f) - 0.5f,
+               clamp(y, 0.0f, 1.0f) - 0.5f, clamp(z, 0.0f, 1.0f) - 0.5f);
+    add_vector(tally + DIRECTION, upper, weight, p->dx, p->dy, p->dz);
+}
+
+// Turn (dx, dy, dz) by a Henyey-Greenstein angle (Henyey and Greenstein 1941) and start anew.
+inline void scatter(Path *p, const Grid g, Random *random, const float mean_cosine)
+{
+    const float even = 2.0f * random_next(random) - 1.0f;
+    const float ratio = (1.0f - mean_cosine * mean_cosine) / (1.0f + mean_cosine * even);
+    const float cosine = fabs(mean_cosine) < 1e-3f
+                             ? even + 1.5f * mean_cosine * (1.0f - even * even)
+                             : (1.0f + mean_cosine * mean_cosine - ratio * ratio) /
+                                   (2.0f * mean_cosine);
+    const float c = clamp(cosine, -1.0f, 1.0f);
+    const float s = sqrt(1.0f - c * c);
+    float around_cosine;
+    const float around_sine = sincos(2 * M_PI_F * random_next(random), &around_cosine);
+    const float u = s * around_cosine, v = s * around_sine;
+
+    // An orthonormal basis about the old direction (Duff et al. 2017).
+    const float sign = copysign(1.0f, p->dz);
+    const float a = -1.0f / (sign + p->dz);
+    const float b = p->dx * p->dy * a;
+    const float x = u * (1.0f + sign * p->dx * p->dx * a) + v * b + c * p->dx;
+    const float y = u * sign * b + v * (sign + p->dy * p->dy * a) + c * p->dy;
+    const float z = -u * sign * p->dx - v * p->dy + c * p->dz;
+    const float scale = rsqrt(x * x + y * y + z * z);
+
+    p->ox = clamp(p->ox + p->t * p->dx, g.lower, g.upper_x);
+    p->oy = clamp(p->oy + p->t * p->dy, g.lower, g.upper_y);
+    p->oz = clamp(p->oz + p->t * p->dz, g.lower, g.upper_z);
+    p->dx = x * scale;
+    p->dy = y * scale;
+    p->dz = z * scale;
+    start_flight(p, g, random);
+}
+
+// The face through which a flight leaves, in the order of LEFT_THROUGH.
+inline int face(const Path *p, const Grid g)
+{
+    const float x = ((p->dx >= 0.0f ? g.upper_x : g.lower) - p->ox) * p->ix;
+    const float y = ((p->dy >= 0.0f ? g.upper_y : g.lower) - p->oy) * p->iy;
+    const float z = ((p->dz >= 0.0f ? g.upper_z : g.lower) - p->oz) * p->iz;
+    return x <= fmin(y, z) ? (p->dx >= 0.0f) : y <= z ? 2 + (p->dy >= 0.0f) : 4 + (p->dz >= 0.0f);
+}
+
+// photons    7 x count: origin in fine cells, unit direction, weight from 0 to 64
+// spacing    a path is scored at points this far apart, the first at random: in expectation its
+//            length in every voxel, over `spacing` (a track length estimator)
+// last       the collision at which a photon is handed over instead of scattered, or 0
+__kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, const int count,
+                            const uint seed, const uint first, const int most_steps,
+                            const float albedo, const float mean_cosine, const float spacing,
+                            const int last, TALLIES_PARAMETERS, __global uint *direct,
+                            __global uint *scattered, __global uint *handed,
+                            __global long *sums)
+{
+    const Grid g = GRID;
+    const Tallies v = TALLIES;
+    const int stride = (int)get_global_size(0);
+    int photon = (int)get_global_id(0);
+    int fresh = 1, steps = 0, collisions = 0;
+    float weight = 0.0f, least = 0.0f, score_at = 0.0f;
+    long sum[SUMS];
+    for (int n = 0; n < SUMS; n++)
+        sum[n] = 0;
+    Path p;
+    Random random;
+    while (photon < count) {
+        if (fresh) {
+            p.ox = photons[photon];
+            p.oy = photons[count + photon];
+            p.oz = photons[2 * count + photon];
+            p.dx = photons[3 * count + photon];
+            p.dy = photons[4 * count + photon];
+            p.dz = photons[5 * count + photon];
+            weight = photons[6 * count + photon];
+            least = weight * 0.1f;
+            enter(&p, g);
+            random = random_stream(seed, first + photon);
+            score_at = random_next(&random) * spacing;
+            start_flight(&p, g, &random);
+            fresh = steps = collisions = 0;
+        }
+        const int event = advance(&p, g, &random);
+        steps++;
+        const int lost = steps >= most_steps && event != LEFT;
+        if (event != COLLIDED && event != LEFT && !lost)
+            continue;
+
+        score_at = score(&p, v, score_at, spacing, weight, collisions, direct, scattered);
+        int done = event == LEFT || lost;
+        if (event == LEFT) {
+            const int through = face(&p, g);
+            for (int n = 0; n < 6; n++) // not sum[... + through]: the sums stay in registers
+                sum[LEFT_THROUGH + n] += n == through ? in_units(weight) : 0;
+        } else if (lost) {
+            sum[LOST] += in_units(weight);
+            sum[LOST_PHOTONS]++;
+        } else {
+            collisions++;
+            const float kept = weight * albedo;
+            sum[ABSORBED] += in_units(weight) - in_units(kept);
+            weight = kept;
+            if (collisions == last) {
+                hand_over(&p, v, weight, handed);
+                sum[HANDED] += in_units(weight);
+                done = 1;
+            } else if (weight < least) { // Russian roulette, at even odds
+                const int survives = random_next(&random) < 0.5f;
+                sum[ABSORBED] += survives ? -in_units(weight) : in_units(weight);
+                weight *= 2.0f;
+                done = !survives || weight == 0.0f;
+            }
+            if (!done) {
+                score_at -= p.t;
+                scatter(&p, g, &random, mean_cosine);
+            }
+        }
+        if (done) {
+            sum[COLLISIONS] += collisions;
+            sum[VIOLATIONS] += p.violated;
+            photon += stride;
+            fresh = 1;
+        }
+    }
+    for (int n = 0; n < SUMS; n++)
+        sums[SUMS * get_global_id(0) + n] += sum[n];
+}
+
+// After batch number `batch`, from 1 on: what it scored in a voxel, beyond what there was `before`,
+// goes into the sum of squared deviations from the mean of the batches (Welford 1962).
+__kernel void take_batch(__global const uint *scattered, const int batch, __global ulong *before,
+                         __global float *deviation)
+{
+    const size_t voxel = get_global_id(0), tally = SCATTERED_TALLIES * voxel + WEIGHT;
+    const size_t upper = SCATTERED_TALLIES * get_global_size(0);
+    const ulong now = (ulong)scattered[upper + tally] << 32 | scattered[tally];
+    if (now == 0)
+        return;
+    const float weight = (float)(now - before[voxel]) * (1.0f / UNIT);
+    const float mean_before = batch > 1 ? (float)before[voxel] / (UNIT * (batch - 1)) : 0.0f;
+    const float mean = (float)now / (UNIT * batch);
+    deviation[voxel] += (weight - mean_before) * (weight - mean);
+    before[voxel] = now;
+}
