@@ -57,7 +57,7 @@ _COEFFICIENTS = np.array(
 
 # The cost of crossing one super-voxel in that of one tentative collision, by kind of bound, and
 # how much of the constant bound's excess over the density the linear one keeps (docs/free-paths).
-CELL_COST = {"constant": 0.6, "linear": 0.25}
+CELL_COST = {"constant": 0.65, "linear": 0.8}
 LINEAR_EXCESS = 0.6
 
 

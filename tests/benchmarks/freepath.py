@@ -235,15 +235,14 @@ def step_costs(rows):
     """
     for sampler in SUPERVOXELS:
         some = [r for r in rows if r["sampler"] == sampler and 4 <= r["super-voxels"] <= 64]
-        steps = np.array([(1.0, r["cells/ray"], r["particles/ray"]) for r in some])
+        steps = np.array([(r["cells/ray"], r["particles/ray"]) for r in some])
         times = np.array([1e3 / r["million rays/s"] for r in some])  # ns
         # Of equal relative weight.
-        (ray, cell, particle), *_ = np.linalg.lstsq(
+        (cell, particle), *_ = np.linalg.lstsq(
             steps / times[:, None], np.ones(len(some)), rcond=None
         )
         yield {
             "sampler": sampler,
-            "ns/ray": float(ray),
             "ns/cell": float(cell),
             "ns/particle": float(particle),
             "cell / particle": float(cell / particle),
@@ -349,7 +348,7 @@ def noise_summary(rows):
             speeds = [row["million rays/s"] for row in of_4096]
             largest = some.get((32768, "strong"))
             yield {
-                "super-voxels": str(cells),
+                "super-voxels": f"{cells}³" if cells in GIVEN_CELLS else cells,
                 "sampler": sampler,
                 "times ray marching, 4096³, least": min(
                     row["times ray marching"] for row in of_4096

@@ -97,12 +97,12 @@ class Ours:
     def __init__(self, sampler, medium, light, photons):
         self.name = sampler
         self.arguments = (medium, [light], photons, sampler)
-        trace(medium, [light], 1000, sampler)  # builds the programs
+        trace(*self.arguments[:2], 1000, sampler, flux=False)  # builds the programs
 
     def run(self, seed):
         """(fluence, s)"""
         start = perf_counter()
-        field = trace(*self.arguments, seed=seed)
+        field = trace(*self.arguments, seed=seed, flux=False)  # MCX has none
         seconds = perf_counter() - start
         return (field.fluence + field.direct)[0], seconds
 
