@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel under an upper bound of
-// the density, and meets real and virtual particles. transport/paths_numpy.py is its twin.
+// The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel under an
+// upper bound of the density, and meets real and virtual particles. transport/paths_numpy.py is
+// its twin.
 //
 // Lengths are in fine cells. Built behind random.cl with
 //   RAY_MARCH or WOODCOCK       else super-voxels
@@ -93,6 +94,12 @@ inline float constant_bound(const Path *p, const Grid g)
 #endif
 }
 
+// Density times length until the next particle.
+inline float next_depth(const Grid g, Random *random)
+{
+    return -log(random_next(random)) * g.per_depth;
+}
+
 // A new path's super-voxel.
 inline void enter(Path *p, const Grid g)
 {
@@ -112,7 +119,7 @@ inline void start_flight(Path *p, const Grid g, Random *random)
     p->end = fmin(((p->dx >= 0.0f ? g.upper_x : g.lower) - p->ox) * p->ix,
                   fmin(((p->dy >= 0.0f ? g.upper_y : g.lower) - p->oy) * p->iy,
                        ((p->dz >= 0.0f ? g.upper_z : g.lower) - p->oz) * p->iz));
-    p->depth = -log(random_next(random)) * g.per_depth;
+    p->depth = next_depth(g, random);
 #ifndef WOODCOCK
     p->tx = crossing(p->i, g.size, p->ox, p->dx, p->ix);
     p->ty = crossing(p->j, g.size, p->oy, p->dy, p->iy);
@@ -289,12 +296,13 @@ inline int advance(Path *p, const Grid g, Random *random)
         const float limit = p->limit;
 #endif
         p->t = fmin(p->t + step, next);
-        p->depth = -log(random_next(random)) * g.per_depth;
-#ifdef RAY_MARCH
-        return COLLIDED;
-#else
-        return denser(p, g, random_next(random) * limit, limit) ? COLLIDED : VIRTUAL;
+#ifndef RAY_MARCH
+        if (!denser(p, g, random_next(random) * limit, limit)) {
+            p->depth = next_depth(g, random);
+            return VIRTUAL;
+        }
 #endif
+        return COLLIDED;
     }
     p->depth -= depth;
     p->t = next;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Fractal noise that is never stored, as a density: transport/perlin.py says what it is and is its
-// twin. There is no kernel here; sources that need the functions are built behind this one.
+// twin. There is no kernel here; sources that need the functions are built behind this one, and
+// this behind random.cl.
 //
 // A kernel takes PERLIN_PARAMETERS, in the order of PerlinMedium.device_arguments, and calls the
 // functions with PERLIN. Positions are in cells of the finest lattice; an octave's scale is a power
@@ -28,16 +29,6 @@ typedef struct {
             perlin_persistence, perlin_cutoff, perlin_power                                \
     }
 
-// The finaliser of MurmurHash3.
-uint perlin_mix(uint h)
-{
-    h ^= h >> 16;
-    h *= 0x85ebca6bu;
-    h ^= h >> 13;
-    h *= 0xc2b2ae35u;
-    return h ^ (h >> 16);
-}
-
 float perlin_between(const float a, const float b, const float share)
 {
     return a + share * (b - a);
@@ -45,7 +36,7 @@ float perlin_between(const float a, const float b, const float share)
 
 float perlin_value(const uint row, const uint z)
 {
-    return (float)(perlin_mix(row ^ (z * 0x27d4eb2fu)) >> 8) * 0x1p-24f;
+    return (float)(mix_bits(row ^ (z * 0x27d4eb2fu)) >> 8) * 0x1p-24f;
 }
 
 float perlin_along_z(const uint row, const uint z, const float fz)
@@ -55,8 +46,8 @@ float perlin_along_z(const uint row, const uint z, const float fz)
 
 float perlin_along_yz(const uint plane, const uint y, const uint z, const float fy, const float fz)
 {
-    return perlin_between(perlin_along_z(perlin_mix(plane ^ (y * 0x165667b1u)), z, fz),
-                          perlin_along_z(perlin_mix(plane ^ ((y + 1) * 0x165667b1u)), z, fz), fy);
+    return perlin_between(perlin_along_z(mix_bits(plane ^ (y * 0x165667b1u)), z, fz),
+                          perlin_along_z(mix_bits(plane ^ ((y + 1) * 0x165667b1u)), z, fz), fy);
 }
 
 // The noise of one octave in one frame, in [0, 1]; positions in cells of its lattice.
@@ -66,10 +57,10 @@ float perlin_frame(const uint seed, const int octave, const int frame, const flo
     const float cx = floor(px), cy = floor(py), cz = floor(pz);
     const float fx = px - cx, fy = py - cy, fz = pz - cz;
     const uint x = (uint)(int)cx, y = (uint)(int)cy, z = (uint)(int)cz;
-    const uint key = perlin_mix(perlin_mix(seed ^ ((uint)(octave + 1) * 0x9e3779b1u)) ^
+    const uint key = mix_bits(mix_bits(seed ^ ((uint)(octave + 1) * 0x9e3779b1u)) ^
                                 ((uint)frame * 0x85ebca77u));
-    return perlin_between(perlin_along_yz(perlin_mix(key ^ (x * 0xc2b2ae3du)), y, z, fy, fz),
-                          perlin_along_yz(perlin_mix(key ^ ((x + 1) * 0xc2b2ae3du)), y, z, fy, fz),
+    return perlin_between(perlin_along_yz(mix_bits(key ^ (x * 0xc2b2ae3du)), y, z, fy, fz),
+                          perlin_along_yz(mix_bits(key ^ ((x + 1) * 0xc2b2ae3du)), y, z, fy, fz),
                           fx);
 }
 

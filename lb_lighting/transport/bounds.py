@@ -56,7 +56,8 @@ _COEFFICIENTS = np.array(
 )
 
 # The cost of crossing one super-voxel in that of one tentative collision, by kind of bound, and
-# how much of the constant bound's excess over the density the linear one keeps (docs/free-paths).
+# how much of the constant bound's excess over the density the linear one keeps: near what
+# tests/benchmarks/freepath.py measures of a head.
 CELL_COST = {"constant": 0.65, "linear": 0.8}
 LINEAR_EXCESS = 0.6
 

@@ -20,7 +20,8 @@ class Report:
     residual  relative change (L2) of the total light in the last step, the largest of the bands
     seconds   {stage: seconds}
     bytes     memory that the solver allocated, bytes
-    runs      bands that were really solved; the others are multiples of them
+    runs      bands that were really solved, of traced photons each light apart; the other bands
+              are multiples of them
 
     Of traced photons alone:
     photons     how many were traced

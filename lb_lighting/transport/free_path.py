@@ -18,15 +18,17 @@ order in the edge of the finest cell.
 
 import warnings
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
-from ..errors import SettingsError, SolverError
+from ..errors import MediumError, SettingsError, SolverError
 from . import bounds
 from . import device as devices
 from .perlin import PerlinMedium
 
 SAMPLERS = ("ray_march", "woodcock", "supervoxel_constant", "supervoxel_linear")
+_MOST_VALUES = 2**31 - 1  # that kernels can number
 _MOST_CELLS = 128  # along an edge of noise: the bound of more would take longer than it saves
 MOST_STEPS = 10**8  # of one path, before it is given up: a minute or so
 
@@ -104,6 +106,11 @@ def path_grid(
 
 def _of_voxels(medium, sampler, interpolation, supervoxel, device):
     fine = bounds.fine_cells(medium.density, interpolation)
+    if fine.values.size > _MOST_VALUES:
+        raise MediumError(
+            f"The samplers take {_MOST_VALUES} voxels at most, and the medium has "
+            f"{medium.density.size}; lower its resolution."
+        )
     bound = None
     if sampler.startswith("supervoxel"):
         kind = sampler.removeprefix("supervoxel_")
@@ -123,6 +130,10 @@ def _of_noise(medium, sampler, interpolation, supervoxel, device):
     n = medium.resolution
     fine = bounds.FineGrid(None, (n, n, n), 0.0, (float(n),) * 3)
     bound = None
+    if supervoxel is not None and n % supervoxel:
+        raise SettingsError(
+            f"Super-voxels of {supervoxel} cells do not fill {n} of them; use a power of two."
+        )
     if sampler.startswith("supervoxel"):
         kind = sampler.removeprefix("supervoxel_")
         make = medium.linear_bound if kind == "linear" else medium.constant_bound
@@ -162,6 +173,8 @@ class FreePathSampler:
         if not 0 <= band < medium.bands:
             raise SettingsError(f"The medium has no band {band}; it has {medium.bands}.")
         self.device = devices.choose(device)
+        check_whole(most_steps, "number of steps", 1, 2**31 - 1)
+        devices.require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
         self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
         self.paths = engine(self.grid, self.device)
         self.band, self.most_steps = band, most_steps
@@ -191,6 +204,11 @@ class FreePathSampler:
             )
         distances[hit] = (start[hit] + lengths) * self.grid.medium.voxel_size
         return distances
+
+
+def _plan(shape, medium):
+    """({what: bytes} on the device, bytes on the host): at least the density must fit."""
+    return {"density": 0 if isinstance(medium, PerlinMedium) else 4 * prod(shape)}, 0
 
 
 def sample_free_paths(

@@ -136,7 +136,7 @@ class Medium:
         self.origin = tuple(map(float, origin))
         if len(self.origin) != 3 or not np.all(np.isfinite(self.origin)):
             raise MediumError(f"The origin must be three finite coordinates; it is {origin}.")
-        self.sigma_s, self.sigma_a, self.g = _by_band(sigma_s, sigma_a, g)
+        self.sigma_s, self.sigma_a, self.g = optics_by_band(sigma_s, sigma_a, g)
         self.emission = None if emission is None else self._emission(emission)
         self.occlusion = None if occlusion is None else self._occlusion(occlusion)
 
@@ -216,7 +216,7 @@ def _refuse_bad_voxels(values, name):
             )
 
 
-def _by_band(sigma_s, sigma_a, g):
+def optics_by_band(sigma_s, sigma_a, g):
     """The coefficients broadcast to (bands,) float64, refused where they are not physical."""
     named = {
         "sigma_s": np.atleast_1d(np.asarray(sigma_s, float)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Paths in NumPy float64: the twin of kernels/free_path.cl and kernels/photons.cl.
+"""Paths in NumPy float64: the twin of kernels/paths.cl, free_path.cl and photons.cl.
 
 The tests hold the kernels to it, and it serves where there is no OpenCL. All rays take a step
 together; those that are done drop out.
@@ -252,11 +252,12 @@ class _Walk:
             limit = self.limit[met]
             step = self.depth[met] / limit
         self.t[met] = np.minimum(self.t[met] + step, next_[meets])
-        self._draw_depth(met)
         event[meets] = COLLIDED
         if self.grid.sampler != "ray_march":
             threshold = self.random.next(met) * limit
-            event[meets] = np.where(self._density(met, limit) > threshold, COLLIDED, VIRTUAL)
+            virtual = ~(self._density(met, limit) > threshold)
+            self._draw_depth(met[virtual])
+            event[meets] = np.where(virtual, VIRTUAL, COLLIDED)
 
         passing = ~meets
         on = rays[passing]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Paths on an OpenCL device: kernels/free_path.cl and kernels/photons.cl."""
+"""Paths on an OpenCL device: kernels/paths.cl with free_path.cl or photons.cl."""
 
 from functools import cache
 from math import prod
@@ -130,7 +130,7 @@ class OpenclPaths:
         )
 
     def _grid_arguments(self):
-        """GRID_PARAMETERS of kernels/free_path.cl but for the last."""
+        """GRID_PARAMETERS of kernels/paths.cl but for the last, per_depth."""
         grid, fine = self.grid, self.grid.fine
         if grid.procedural:
             medium = grid.medium.device_arguments

@@ -22,7 +22,8 @@ import numpy as np
 
 from ..errors import MediumError
 from .bounds import Bound
-from .medium import LARGEST, Domain, Medium, _by_band
+from .medium import LARGEST, Domain, Medium, optics_by_band
+from .random import mix_bits
 
 FINEST = 2**15
 """The largest effective resolution: there float32 still tells 512 places in a cell apart."""
@@ -108,7 +109,7 @@ class PerlinMedium:
         self.origin = tuple(map(float, origin))
         if len(self.origin) != 3 or not np.all(np.isfinite(self.origin)):
             raise MediumError(f"The origin must be three finite coordinates; it is {origin}.")
-        self.sigma_s, self.sigma_a, self.g = _by_band(sigma_s, sigma_a, g)
+        self.sigma_s, self.sigma_a, self.g = optics_by_band(sigma_s, sigma_a, g)
 
     bands, sigma_t, albedo = Medium.bands, Medium.sigma_t, Medium.albedo
 
@@ -135,7 +136,8 @@ class PerlinMedium:
         """(n + 1, n + 1, n + 1) float64 in [0, 1): an octave at the points of its lattice."""
         index = np.arange(self.coarsest * 2**octave + 1, dtype=np.uint32)
         x, y, z = index[:, None, None] * _X, index[:, None] * _Y, index * _Z
-        return sum(share * _value(_mix(_mix(key ^ x) ^ y) ^ z) for share, key in self._keys(octave))
+        keys = self._keys(octave)
+        return sum(share * _value(mix_bits(mix_bits(key ^ x) ^ y) ^ z) for share, key in keys)
 
     def noise(self, x, y, z):
         """float64 in [0, 1) at coordinates that broadcast, in cells of the finest lattice.
@@ -215,10 +217,10 @@ class PerlinMedium:
     def _keys(self, octave):
         """[(share, key)]: what an octave is hashed with in the frames around `time`."""
         frame, later = floor(self.time), self.time % 1
-        octave_key = _mix(_words(self.seed ^ (octave + 1) * _OCTAVE))
-        keys = [(1 - later, _mix(octave_key ^ _words(frame * _FRAME)))]
+        octave_key = mix_bits(_words(self.seed ^ (octave + 1) * _OCTAVE))
+        keys = [(1 - later, mix_bits(octave_key ^ _words(frame * _FRAME)))]
         if later:
-            keys.append((later, _mix(octave_key ^ _words((frame + 1) * _FRAME))))
+            keys.append((later, mix_bits(octave_key ^ _words((frame + 1) * _FRAME))))
         return keys
 
     def _density(self, noise):
@@ -270,19 +272,9 @@ def _words(value):
     return np.array([value & 0xFFFFFFFF], np.uint32)
 
 
-def _mix(h):
-    """The finaliser of MurmurHash3, of a uint32 array."""
-    h = h ^ (h >> 16)
-    h *= np.uint32(0x85EBCA6B)
-    h ^= h >> 13
-    h *= np.uint32(0xC2B2AE35)
-    h ^= h >> 16
-    return h
-
-
 def _value(h):
     """A lattice value in [0, 1), with the 24 bits that float32 holds."""
-    return (_mix(h) >> 8) * 2.0**-24
+    return (mix_bits(h) >> 8) * 2.0**-24
 
 
 def _trilinear(key, x, y, z):
@@ -294,11 +286,11 @@ def _trilinear(key, x, y, z):
         return low + fz * (_value(row ^ z1) - low)
 
     def along_yz(plane):
-        low = along_z(_mix(plane ^ y0))
-        return low + fy * (along_z(_mix(plane ^ y1)) - low)
+        low = along_z(mix_bits(plane ^ y0))
+        return low + fy * (along_z(mix_bits(plane ^ y1)) - low)
 
-    low = along_yz(_mix(key ^ x0))
-    return low + fx * (along_yz(_mix(key ^ x1)) - low)
+    low = along_yz(mix_bits(key ^ x0))
+    return low + fx * (along_yz(mix_bits(key ^ x1)) - low)
 
 
 def _cell(coordinate, prime):

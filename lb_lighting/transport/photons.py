@@ -22,9 +22,12 @@ from .lights import Emission, multiple
 from .medium import Domain
 from .perlin import PerlinMedium
 
-_BATCHES = 32  # at least, of equal size; their spread gives the variance, to a quarter of itself
+# Of equal size; their spread gives the variance, from 32 to a quarter of itself. Fewer, where the
+# photons are so few beside the voxels that going through these after each batch would take longer.
+_FEWEST_BATCHES, _MOST_BATCHES, _PHOTONS_A_VOXEL = 8, 32, 1 / 128
 _AT_ONCE = 2**18  # photons, at most, that a light emits, and between two looks at `cancel`
 _PROBE = 1024  # photons that tell how bright a light is
+_CLOSEST = 0.01  # voxels between two scores; closer ones might not move on in float32
 _TALLIED = 128  # voxels along an edge of the tallies of a medium without voxels
 
 
@@ -74,7 +77,7 @@ def trace(
     tallied        voxels along an edge of the field of a PerlinMedium; None for 128 at most.
                    That of a Medium has the medium's voxels
     spacing        voxels of the field between two scores of a path: larger is faster, noisier
-    flux           whether to find the field's flux, too: it makes scoring several times slower
+    flux           whether to find the field's flux, too: a score is four additions then, not one
     most_steps     of a path, before it is given up
     progress       called as progress(stage, fraction) with fraction from 0 to 1
     cancel         called without arguments; tracing ends with `Cancelled` where it returns true
@@ -83,7 +86,7 @@ def trace(
     does not hold, which would be a bias.
     Source: paper 2 for the paths; equation 1 of paper 1 for what they solve.
     """
-    _refuse_unfit(medium, photons, handover, spacing, seed)
+    _refuse_unfit(medium, photons, handover, spacing, seed, most_steps)
     clock = Clock()
     with clock("prepare"):
         used = devices.choose(device)
@@ -94,7 +97,7 @@ def trace(
         needed = devices.require_memory(
             used, shape, lambda s: _plan(s, medium.bands, flux, handed, grid)
         )
-        batches = max(min(_BATCHES, photons), -(-photons // _AT_ONCE))
+        batches = _batches(photons, prod(shape))
         runs = _runs(medium, lights, photons, batches, seed)
         per_cell = shape[0] / (grid.fine.upper[0] - grid.fine.lower)
         paths = engine(grid, used)
@@ -123,13 +126,16 @@ def trace(
     return result.field(report)
 
 
-def _refuse_unfit(medium, photons, handover, spacing, seed):
+def _refuse_unfit(medium, photons, handover, spacing, seed, most_steps):
     check_whole(photons, "number of photons", 1, 2**40)
     check_whole(seed, "seed", 0, 2**32 - 1)
     if handover is not None:
         check_whole(handover, "collision at which photons are handed over", 1, 2**31 - 1)
-    if not 0 < spacing < np.inf:
-        raise SettingsError(f"The spacing of scores must be positive; it is {spacing}.")
+    check_whole(most_steps, "number of steps", 1, 2**31 - 1)
+    if not _CLOSEST <= spacing < np.inf:
+        raise SettingsError(
+            f"The spacing of scores must be {_CLOSEST} voxels or more; it is {spacing}."
+        )
     if getattr(medium, "occlusion", None) is not None:
         raise MediumError("Photons know no opaque voxels; leave the occlusion out.")
 
@@ -137,13 +143,15 @@ def _refuse_unfit(medium, photons, handover, spacing, seed):
 def _tally_shape(medium, tallied):
     if not isinstance(medium, PerlinMedium):
         return medium.shape
-    edge = tallied or min(_TALLIED, medium.resolution)
-    if not 1 <= edge <= medium.resolution:
-        raise SettingsError(
-            f"The field of this medium can have 1 to {medium.resolution} voxels along an edge, "
-            f"not {edge}."
-        )
+    edge = min(_TALLIED, medium.resolution) if tallied is None else tallied
+    check_whole(edge, "field's number of voxels along an edge", 1, medium.resolution)
     return (edge,) * 3
+
+
+def _batches(photons, voxels):
+    worth_it = int(photons / (_PHOTONS_A_VOXEL * voxels))
+    batches = min(photons, max(_FEWEST_BATCHES, min(worth_it, _MOST_BATCHES)))
+    return max(batches, -(-photons // _AT_ONCE))
 
 
 def _plan(shape, bands, flux, handed, grid=None):
@@ -175,7 +183,12 @@ def _runs(medium, lights, photons, batches, seed):
             if probe.any():
                 count = max(1, round(photons * probe.sum() / whole / batches))
                 power = float(probe.max()) * _PROBE / count
-                runs.append(_Run(light, number, band, multiples[number], count, power))
+            elif callable(light.spectrum):  # all that is bright may lie between the probe's photons
+                count = max(1, photons // (len(lights) * batches))
+                power = 1 / count
+            else:
+                continue
+            runs.append(_Run(light, number, band, multiples[number], count, power))
     if not runs:
         raise LightError(
             "There is no light; add a sun, or a world with a colour that is not black."
@@ -210,6 +223,7 @@ def _trace_batch(paths, run, batch, seed, options, cancel):
     rng = np.random.default_rng([seed, 1, run.number, batch])
     origins, directions, power = run.light.emit(run.photons, medium, rng, run.band)
     _, points, hit = enter(grid, origins, directions)
+    hit &= power > 0
     photons = np.concatenate([points.T, directions.T, power[None] / run.power])[:, hit]
     photons = _lighter(photons).astype(np.float32)
     stream = np.random.SeedSequence([seed, run.number, batch]).generate_state(1)[0]

@@ -20,10 +20,10 @@ class RandomStreams:
     def __init__(self, seed, indices):
         seed, index = np.uint32(seed), np.asarray(indices, np.uint32)
         with np.errstate(over="ignore"):
-            a = _mix(index + _GOLDEN * seed)
-            b = _mix(a ^ index ^ np.uint32(0x632BE5AB))
-            c = _mix(b + _GOLDEN)
-            d = _mix(c ^ seed) | np.uint32(1)
+            a = mix_bits(index + _GOLDEN * seed)
+            b = mix_bits(a ^ index ^ np.uint32(0x632BE5AB))
+            c = mix_bits(b + _GOLDEN)
+            d = mix_bits(c ^ seed) | np.uint32(1)
         self.state = np.stack([a, b, c, d])
 
     def next(self, rays):
@@ -43,10 +43,11 @@ def _rotate(bits, places):
     return (bits << np.uint32(places)) | (bits >> np.uint32(32 - places))
 
 
-def _mix(h):
-    """The finalizer of MurmurHash3."""
-    h = h ^ (h >> np.uint32(16))
-    h = h * np.uint32(0x85EBCA6B)
-    h = h ^ (h >> np.uint32(13))
-    h = h * np.uint32(0xC2B2AE35)
-    return h ^ (h >> np.uint32(16))
+def mix_bits(h):
+    """The finalizer of MurmurHash3, of a uint32 array."""
+    h = h ^ (h >> 16)
+    h *= np.uint32(0x85EBCA6B)
+    h ^= h >> 13
+    h *= np.uint32(0xC2B2AE35)
+    h ^= h >> 16
+    return h

@@ -4,7 +4,7 @@
 import numpy as np
 
 UNIT = 2.0**24  # of a tally, in a weight of 1
-HEAVIEST = 64.0  # a photon may be at the start
+HEAVIEST = 64.0  # weight that a photon may start with
 
 # What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
 # Of light that has not collided: its weight. Of light that has:

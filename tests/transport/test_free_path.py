@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import DeviceError, MediumError, SettingsError, SolverError
-from lb_lighting.transport import Medium, device
+from lb_lighting.transport import Medium, device, free_path
 from lb_lighting.transport.free_path import (
     SAMPLERS,
     FreePathSampler,
@@ -573,11 +573,24 @@ def test_settings_that_are_none_are_refused(settings, error, sentence):
 
 
 def test_super_voxels_of_noise_are_cells_of_its_lattices():
-    with pytest.raises(MediumError, match="super-voxels along an edge"):
-        path_grid(noise(32, WEAK, 1.0), supervoxel=3)
+    for size in (3, 17, 33):
+        with pytest.raises(SettingsError, match="do not fill 32"):
+            path_grid(noise(32, WEAK, 1.0), supervoxel=size)
     assert path_grid(noise(32, WEAK, 1.0), supervoxel=2).cells == (16, 16, 16)
 
 
 def test_density_that_is_not_a_number_is_refused():
     with pytest.raises(MediumError, match="not finite in 1 of"):
         voxels(np.where(np.arange(8).reshape(2, 2, 2) == 3, np.nan, 1.0))
+
+
+def test_medium_that_does_not_fit_is_refused():
+    small = replace(device.devices()[0], memory=1000, largest_buffer=1000)
+    with pytest.raises(DeviceError, match="largest resolution that fits"):
+        sample_free_paths(cloud(), *ONE_RAY, device=small)
+
+
+def test_medium_of_more_voxels_than_kernels_can_number_is_refused(monkeypatch):
+    monkeypatch.setattr(free_path, "_MOST_VALUES", 10)
+    with pytest.raises(MediumError, match="lower its resolution"):
+        path_grid(cloud())

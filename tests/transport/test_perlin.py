@@ -60,7 +60,9 @@ pytestmark = pytest.mark.filterwarnings("ignore:Non-empty compiler output")
 def evaluator(found):
     import pyopencl as cl
 
-    source = (Path(lb_lighting.__file__).parent / "kernels/perlin.cl").read_text() + EVALUATE
+    kernels = Path(lb_lighting.__file__).parent / "kernels"
+    needed = ("random.cl", "perlin.cl")
+    source = "".join((kernels / name).read_text() for name in needed) + EVALUATE
     program = cl.Program(device.context(found), source).build(device._BUILD_OPTIONS.split())
     return cl.Kernel(program, "evaluate")
 

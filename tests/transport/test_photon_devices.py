@@ -44,7 +44,8 @@ def assert_twins(monkeypatch):
     """The same seed gives the same paths in NumPy, but for those that rounding parts."""
     # Few batches, as NumPy takes its time for each; and the bound of one device for all, as their
     # own differ by rounding.
-    monkeypatch.setattr(photons, "_BATCHES", 2)
+    monkeypatch.setattr(photons, "_MOST_BATCHES", 2)
+    monkeypatch.setattr(photons, "_FEWEST_BATCHES", 2)
     grid = photons.path_grid
     monkeypatch.setattr(photons, "path_grid", lambda *options: grid(*options[:-1], OPENCL[0]))
 
@@ -149,6 +150,9 @@ def test_endless_paths_are_given_up_and_counted(found):
         {"handover": 0},
         {"handover": -1},
         {"spacing": 0.0},
+        {"spacing": 1e-9},
+        {"most_steps": 0},
+        {"most_steps": 2**31},
         {"spacing": -1.0},
         {"spacing": np.nan},
         {"spacing": np.inf},
@@ -163,9 +167,9 @@ def test_senseless_settings_are_refused(options):
         trace(lumpy(), LIGHTS, **{"photons": 10, **options})
 
 
-@pytest.mark.parametrize("tallied", [-1, 17, 10**9])
+@pytest.mark.parametrize("tallied", [-1, 0, 2.5, 17, 10**9])
 def test_field_of_noise_has_a_sensible_resolution(tallied):
-    with pytest.raises(SettingsError, match="1 to 16 voxels"):
+    with pytest.raises(SettingsError, match="whole number from 1 to 16"):
         trace(noise(), LIGHTS, 10, tallied=tallied)
 
 

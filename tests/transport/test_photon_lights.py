@@ -168,3 +168,15 @@ def test_dark_lights_are_skipped():
 def test_light_of_other_bands_is_refused():
     with pytest.raises(LightError, match="2 bands where the medium has 1"):
         trace(blotchy(), [Sun((0, 0, 1), (1.0, 2.0))], 100)
+
+
+def test_sky_that_is_dark_almost_everywhere_is_traced():
+    """A disc so small that the first photons, which tell how bright a light is, miss it."""
+    cosine = 0.999
+    disc = Sky(lambda towards: 10.0 * (towards @ np.array((0.6, 0.0, 0.8)) > cosine))
+    medium = Medium(np.zeros((2, 2, 2)), 1.0, 1.0, 0.0)
+    entered = [
+        trace(medium, [disc], 200_000, seed=seed).report.energy["entered"] for seed in range(12)
+    ]
+    # Radiance x solid angle x what a cube of 2 m shows to that direction.
+    assert_mean(np.ravel(entered), 10 * 2 * np.pi * (1 - cosine) * 4 * (0.6 + 0.8))
