@@ -160,7 +160,33 @@ def rows(depth, name, photons):
         }
 
 
+def profile(depth, name, photons):
+    """What a collision of ours takes, with all of it and with parts left out."""
+    density = cloud() / (LEVELS - 1)
+    sigma_t = depth / (density.mean() * EDGE)
+    coefficients = (sigma_t * ALBEDO, sigma_t * (1 - ALBEDO), G)
+    cloudy = Medium(density, 1.0, *coefficients)
+    even = Medium(np.full_like(density, density.mean()), 1.0, *coefficients)
+    for what, medium, options in (
+        ("all", cloudy, {}),
+        ("without scores", cloudy, {"spacing": 1e9}),
+        ("in even density under one bound", even, {"spacing": 1e9, "supervoxel": EDGE}),
+    ):
+        arguments = (medium, [source(name)])
+        options = {"sampler": "supervoxel_constant", "flux": False, **options}
+        fixed = min(trace(*arguments, 100, **options).report.seconds["trace"] for _ in range(3))
+        report = trace(*arguments, photons, **options).report
+        seconds = report.seconds["trace"] - fixed
+        yield {
+            "depth": depth,
+            "profile": what,
+            "collisions/photon": float(report.collisions[0] / report.photons),
+            "ns/collision": 1e9 * seconds / int(report.collisions[0]),
+        }
+
+
 def main():
+    publish("mcx-profile", device.choose().label, [row for c in CASES[:2] for row in profile(*c)])
     found = [row for case in CASES for row in rows(*case)]
     publish("mcx", device.choose().label, found)
     if any(row["in units of noise"] > MOST_BEYOND_NOISE for row in found):
