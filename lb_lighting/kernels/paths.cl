@@ -70,6 +70,7 @@ typedef struct {
 #define COLLIDED 2 // at a real one
 #define LEFT 3     // outside
 
+#define TOLERATED 1.0001f // of a density over its bound: more than rounding explains
 #define SLOWEST 1e-18f // a direction's component closer to zero than this is taken for this
 
 inline float inverse(const float d)
@@ -162,7 +163,10 @@ inline int denser(Path *p, const Grid g, const float threshold, const float boun
 {
     const float x = p->ox + p->t * p->dx, y = p->oy + p->t * p->dy, z = p->oz + p->t * p->dz;
 #ifdef PERLIN_MEDIUM
-    return perlin_exceeds(g.noise, x, y, z, threshold);
+    const int real = perlin_exceeds(g.noise, x, y, z, threshold);
+    if (real) // as it is wherever the density is over its bound, too
+        p->violated |= perlin_exceeds(g.noise, x, y, z, bound * TOLERATED);
+    return real;
 #else
     const int i = fine_cell(x, p->i, g.size, g.nx);
     const int j = fine_cell(y, p->j, g.size, g.ny);
@@ -180,7 +184,7 @@ inline int denser(Path *p, const Grid g, const float threshold, const float boun
 #else
     const float density = g.density[(i * g.ny + j) * g.nz + k];
 #endif
-    p->violated |= density > bound * 1.0001f; // more than rounding explains
+    p->violated |= density > bound * TOLERATED;
     return density > threshold;
 #endif
 }

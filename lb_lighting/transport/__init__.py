@@ -10,7 +10,7 @@ from ..errors import (
     SettingsError,
     SolverError,
 )
-from .field import Field, Handed, Report
+from .field import Field, Handed, PhotonReport, Report
 from .free_path import SAMPLERS, FreePathSampler, sample_free_paths
 from .lights import PointLight, Sky, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
@@ -33,6 +33,7 @@ __all__ = [
     "MediumError",
     "Optics",
     "PerlinMedium",
+    "PhotonReport",
     "PointLight",
     "Report",
     "Settings",

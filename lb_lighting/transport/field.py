@@ -22,13 +22,6 @@ class Report:
     bytes     memory that the solver allocated, bytes
     runs      bands that were really solved, of traced photons each light apart; the other bands
               are multiples of them
-
-    Of traced photons alone:
-    photons     how many were traced
-    lost        how many were given up after too many steps
-    collisions  (bands,) real ones, of all photons
-    energy      {where: W}: "entered" (bands,) is the sum of "absorbed" (bands,), "left" (bands, 6)
-                through the faces -x, +x, -y, +y, -z, +z, "handed" over and "lost" (bands,)
     """
 
     model: str
@@ -38,6 +31,19 @@ class Report:
     seconds: dict = field(default_factory=dict)
     bytes: int = 0
     runs: int = 0
+
+
+@dataclass
+class PhotonReport(Report):
+    """How a field was found by tracing photons.
+
+    photons     how many were traced
+    lost        how many were given up after too many steps
+    collisions  (bands,) real ones, of all photons
+    energy      {where: W}: "entered" (bands,) is the sum of "absorbed" (bands,), "left" (bands, 6)
+                through the faces -x, +x, -y, +y, -z, +z, "handed" over and "lost" (bands,)
+    """
+
     photons: int = 0
     lost: int = 0
     collisions: np.ndarray | None = None
@@ -89,7 +95,7 @@ class Field:
     flux      (bands, 3, nx, ny, nz) W/m^2, net flux of what `fluence` counts; None where a trace
               was asked for none
     variance  (bands, nx, ny, nz) of the fluence, (W/m^2)^2, where the solver is random, else None
-    report    a `Report`
+    report    a `Report`, of traced photons a `PhotonReport`
     handed    a `Handed` where photons were handed over, else None
     """
 

@@ -30,6 +30,7 @@ from .tallies import (
 CROSSED, VIRTUAL, COLLIDED, LEFT = range(4)
 
 _SLOWEST = 1e-18
+_TOLERATED = 1.0001
 _AT_ONCE = 2**16  # rays: their state fits the cache
 
 
@@ -342,7 +343,13 @@ class _Walk:
     def _density(self, rays, bound):
         points = self.points(rays)
         if self.grid.procedural:
-            return self.grid.medium.density_at(points)
+            density = self.grid.medium.density_at(points)
+        else:
+            density = self._voxel_density(points, rays)
+        self.violated[rays] |= density > bound * _TOLERATED
+        return density
+
+    def _voxel_density(self, points, rays):
         cell = self._fine_cells(points, rays)
         values = self.grid.fine.values
         if self.grid.linear:
@@ -353,7 +360,6 @@ class _Walk:
                 density += weight * values[tuple((cell + corner).T)]
         else:
             density = values[tuple(cell.T)]
-        self.violated[rays] |= density > bound * 1.0001
         return density
 
     def _coefficients(self, rays):

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import Cancelled, LightError, MediumError, SettingsError
 from . import device as devices
 from . import tallies
-from .field import Clock, Field, Handed, Report
+from .field import Clock, Field, Handed, PhotonReport
 from .free_path import MOST_STEPS, check_whole, engine, enter, path_grid, refuse_violations
 from .lights import Emission, multiple
 from .medium import Domain
@@ -115,7 +115,7 @@ def trace(
         with clock("read"):
             result.add(run, *paths.read_tallies(), spacing / per_cell * medium.voxel_size)
 
-    report = Report(
+    report = PhotonReport(
         model="photons",
         device=used.label,
         seconds=clock.seconds,

@@ -286,6 +286,17 @@ def test_a_bound_that_is_too_low_is_seen(sampler, interpolation):
             prepared.sample(*random_rays(cloud(), 10_000))
 
 
+@pytest.mark.parametrize("sampler", VIRTUAL)
+@pytest.mark.parametrize("found", FOUND, ids=lambda found: found.platform.split(",")[0])
+def test_a_bound_of_noise_that_is_too_low_is_seen(sampler, found):
+    medium = noise(32, WEAK, 20.0)
+    rays = random_rays(medium, 5_000)
+    prepared = prepare(medium, sampler, found=found)
+    prepared.sample(*rays)
+    with pytest.raises(SolverError, match="over its upper bound"):
+        lowered(prepared, 0.5).sample(*rays)
+
+
 def same(first, second, tolerance=1e-4):
     """The share of distances that differ by less than `tolerance` m, or are both infinite."""
     with np.errstate(invalid="ignore"):

@@ -10,9 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lb_lighting.errors import Cancelled, DeviceError, LightError, MediumError, SettingsError
+from lb_lighting.errors import (
+    Cancelled,
+    DeviceError,
+    LightError,
+    MediumError,
+    SettingsError,
+    SolverError,
+)
 from lb_lighting.transport import Medium, PointLight, Sky, Sun, device, photons
-from lb_lighting.transport.free_path import SAMPLERS
+from lb_lighting.transport.free_path import SAMPLERS, path_grid
 from lb_lighting.transport.perlin import PerlinMedium
 from lb_lighting.transport.photons import trace
 from tests.tracing import OPENCL, name
@@ -178,6 +185,17 @@ def test_field_of_noise_has_the_resolution_asked_for():
         field = trace(noise(), LIGHTS, 100, tallied=tallied)
         assert field.fluence.shape == (1, edge, edge, edge)
         assert field.domain.voxel_size * edge == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("found", device.devices(), ids=name)
+def test_bound_that_is_too_low_is_refused(found, monkeypatch):
+    def lowered(*options):
+        grid = path_grid(*options)
+        return replace(grid, bound=replace(grid.bound, values=grid.bound.values * np.float32(0.9)))
+
+    monkeypatch.setattr(photons, "path_grid", lowered)
+    with pytest.raises(SolverError, match="over its upper bound"):
+        trace(lumpy(), LIGHTS, 1000, device=found)
 
 
 def test_occlusion_is_refused():
