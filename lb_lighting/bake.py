@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from . import job
-from .errors import OutputError, SceneError, SettingsError
+from .errors import OutputError, SceneError, SettingsError, require_known
 from .output import attribute, shading, volume
 from .scene.lights import scene_lights
 from .scene.sources import FROM_MATERIAL, Reader, mixture, open_sources
@@ -46,10 +46,7 @@ class Options:
             (self.medium, (FROM_MATERIAL, *PRESETS), "medium"),
             (self.mode, tuple(shading.MODES), "mode"),
         ):
-            if value not in known:
-                raise SettingsError(
-                    f"There is no {what} called '{value}'; choose one of: {', '.join(known)}."
-                )
+            require_known(value, known, what)
         if self.padding < 1:
             raise SettingsError(f"The padding must be 1 voxel or more; it is {self.padding}.")
         if not (self.optical_depth > 0 and np.isfinite(self.optical_depth)):

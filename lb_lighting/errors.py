@@ -6,6 +6,8 @@ command line print its text and stop; anything else is a defect and is left to
 show its traceback.
 """
 
+from numbers import Integral
+
 
 class LightingError(Exception):
     """The base of every error whose text is meant for the user."""
@@ -41,3 +43,17 @@ class SolverError(LightingError):
 
 class Cancelled(LightingError):  # noqa: N818 - the public name
     """The user stopped the work; nothing was changed."""
+
+
+def require_known(value, known, what):
+    """Refuse a choice that is not among the `known` ones, with a SettingsError that lists them."""
+    if value not in known:
+        raise SettingsError(
+            f"There is no {what} called '{value}'; choose one of: {', '.join(known)}."
+        )
+
+
+def require_whole(value, what, lowest, highest, error=SettingsError):
+    """Refuse a number that is not whole, or out of its range, with an `error`."""
+    if not isinstance(value, Integral) or not lowest <= value <= highest:
+        raise error(f"The {what} must be a whole number from {lowest} to {highest}; it is {value}.")

@@ -17,13 +17,7 @@ __kernel void free_paths(GRID_PARAMETERS, __global const float *rays,
     Random random;
     while (ray < count) {
         if (fresh) {
-            p.ox = rays[ray];
-            p.oy = rays[count + ray];
-            p.oz = rays[2 * count + ray];
-            p.dx = rays[3 * count + ray];
-            p.dy = rays[4 * count + ray];
-            p.dz = rays[5 * count + ray];
-            enter(&p, g);
+            enter(&p, g, rays, count, ray);
             random = random_stream(seed, indices[ray]);
             start_flight(&p, g, &random);
             fresh = 0;

@@ -101,9 +101,15 @@ inline float next_depth(const Grid g, Random *random)
     return -log(random_next(random)) * g.per_depth;
 }
 
-// A new path's super-voxel.
-inline void enter(Path *p, const Grid g)
+// A new path: number `n` of `count` rays, whose origins and directions lie component by component.
+inline void enter(Path *p, const Grid g, __global const float *rays, const int count, const int n)
 {
+    p->ox = rays[n];
+    p->oy = rays[count + n];
+    p->oz = rays[2 * count + n];
+    p->dx = rays[3 * count + n];
+    p->dy = rays[4 * count + n];
+    p->dz = rays[5 * count + n];
     p->i = clamp((int)p->ox / g.size, 0, g.mx - 1);
     p->j = clamp((int)p->oy / g.size, 0, g.my - 1);
     p->k = clamp((int)p->oz / g.size, 0, g.mz - 1);

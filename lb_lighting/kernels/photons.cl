@@ -189,15 +189,9 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
     Random random;
     while (photon < count) {
         if (fresh) {
-            p.ox = photons[photon];
-            p.oy = photons[count + photon];
-            p.oz = photons[2 * count + photon];
-            p.dx = photons[3 * count + photon];
-            p.dy = photons[4 * count + photon];
-            p.dz = photons[5 * count + photon];
+            enter(&p, g, photons, count, photon);
             weight = photons[6 * count + photon];
             least = weight * 0.1f;
-            enter(&p, g);
             random = random_stream(seed, first + photon);
             score_at = random_next(&random) * spacing;
             start_flight(&p, g, &random);

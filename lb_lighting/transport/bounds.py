@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from ..errors import SettingsError
+from ..errors import SettingsError, require_known
 from . import device as devices
 
 INTERPOLATIONS = ("constant", "linear")
@@ -101,7 +101,7 @@ def fine_cells(density, interpolation="constant"):
     constant in the outer half voxels: the density is repeated once around itself, and the domain
     begins at 0.5. SettingsError for another interpolation.
     """
-    _require(interpolation, INTERPOLATIONS, "interpolation")
+    require_known(interpolation, INTERPOLATIONS, "interpolation")
     density = np.ascontiguousarray(density, np.float32)
     if interpolation == "constant":
         return FineGrid(density, density.shape, 0.0, tuple(map(float, density.shape)))
@@ -159,7 +159,7 @@ def choose_size(density, depth_per_density, kind, interpolation="constant"):
     By `cost`, where fluence is uniform. How far a path flies, and so the first super-voxel of every
     flight, costs the same at every size.
     """
-    _require(kind, KINDS, "kind of bound")
+    require_known(kind, KINDS, "kind of bound")
     grid = fine_cells(density, interpolation)
     mean = float(np.mean(density, dtype=float))
     maxima, costs = _block_maxima(grid.values, grid.shape, 1), {}
@@ -182,13 +182,6 @@ def cost(kind, size, depth):
     edge. It meets as many tentative collisions as the bound is deep.
     """
     return CELL_COST[kind] * 1.5 / size + depth
-
-
-def _require(value, known, what):
-    if value not in known:
-        raise SettingsError(
-            f"There is no {what} called '{value}'; choose one of: {', '.join(known)}."
-        )
 
 
 def _require_size(size):

@@ -22,7 +22,7 @@ from math import prod
 
 import numpy as np
 
-from ..errors import MediumError, SettingsError, SolverError
+from ..errors import MediumError, SettingsError, SolverError, require_known, require_whole
 from . import bounds
 from . import device as devices
 from .perlin import PerlinMedium
@@ -41,8 +41,8 @@ class PathGrid:
     medium    the `Medium` or `PerlinMedium`
     linear    whether the density is linear between voxel centres, not constant in voxels
     fine      bounds.FineGrid; its values are None where the density is a function
-    bound     bounds.Bound; None for ray marching, which needs none
-    majorant  an upper bound of the density everywhere
+    bound     bounds.Bound in super-voxels; None for the samplers that have none
+    majorant  an upper bound of the density everywhere, for Woodcock's sampler; else 0
     """
 
     sampler: str
@@ -94,12 +94,9 @@ def path_grid(
                    In a PerlinMedium it must be the edge of one of the noise's lattice cells
     device         as in `device.choose`, where the bound is made
     """
-    if sampler not in SAMPLERS:
-        raise SettingsError(
-            f"There is no sampler called '{sampler}'; choose one of: {', '.join(SAMPLERS)}."
-        )
+    require_known(sampler, SAMPLERS, "sampler")
     if supervoxel is not None:
-        check_whole(supervoxel, "super-voxel's edge in fine cells", 1, 2**31 - 1)
+        require_whole(supervoxel, "super-voxel's edge in fine cells", 1, 2**31 - 1)
     make = _of_noise if isinstance(medium, PerlinMedium) else _of_voxels
     return make(medium, sampler, interpolation, supervoxel, device)
 
@@ -121,8 +118,11 @@ def _of_voxels(medium, sampler, interpolation, supervoxel, device):
             bound = bounds.constant_bound(medium.density, size, interpolation)
         else:
             bound = bounds.linear_bound(medium.density, size, interpolation, device)
-    majorant = bounds.constant_bound(medium.density, max(fine.shape), interpolation).values.max()
-    return PathGrid(sampler, medium, interpolation == "linear", fine, bound, float(majorant))
+    majorant = 0.0
+    if sampler == "woodcock":
+        whole = bounds.constant_bound(medium.density, max(fine.shape), interpolation)
+        majorant = float(whole.values.max())
+    return PathGrid(sampler, medium, interpolation == "linear", fine, bound, majorant)
 
 
 def _of_noise(medium, sampler, interpolation, supervoxel, device):
@@ -137,20 +137,19 @@ def _of_noise(medium, sampler, interpolation, supervoxel, device):
     if sampler.startswith("supervoxel"):
         kind = sampler.removeprefix("supervoxel_")
         make = medium.linear_bound if kind == "linear" else medium.constant_bound
-        bound = make(n // supervoxel if supervoxel else _cheapest_cells(medium, kind))
-    majorant = float(medium.constant_bound(1).values.max())
+        bound = make(n // supervoxel) if supervoxel else _cheapest_bound(medium, kind, make)
+    majorant = float(medium.constant_bound(1).values.max()) if sampler == "woodcock" else 0.0
     return PathGrid(sampler, medium, False, fine, bound, majorant)
 
 
-def _cheapest_cells(medium, kind):
-    """Super-voxels along an edge of a PerlinMedium, for the sampler to be fastest."""
+def _cheapest_bound(medium, kind, make):
+    """The bound of a PerlinMedium under which the sampler is fastest; make(cells) makes one."""
     depth = float(medium.sigma_t.max()) * medium.voxel_size
-    costs, cells = {}, medium.coarsest
+    made, cells = [], medium.coarsest
     while cells <= min(_MOST_CELLS, medium.resolution):
-        make = medium.linear_bound if kind == "linear" else medium.constant_bound
-        costs[cells] = bounds.cost(kind, medium.resolution // cells, depth * make(cells).mean)
+        made.append(make(cells))
         cells *= 2
-    return min(costs, key=costs.get)
+    return min(made, key=lambda bound: bounds.cost(kind, bound.size, depth * bound.mean))
 
 
 class FreePathSampler:
@@ -173,7 +172,7 @@ class FreePathSampler:
         if not 0 <= band < medium.bands:
             raise SettingsError(f"The medium has no band {band}; it has {medium.bands}.")
         self.device = devices.choose(device)
-        check_whole(most_steps, "number of steps", 1, 2**31 - 1)
+        require_whole(most_steps, "number of steps", 1, 2**31 - 1)
         devices.require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
         self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
         self.paths = engine(self.grid, self.device)
@@ -181,7 +180,7 @@ class FreePathSampler:
 
     def sample(self, origins, directions, seed=0):
         """(n,) m: distances, as `sample_free_paths` returns them."""
-        check_whole(seed, "seed", 0, 2**32 - 1)
+        require_whole(seed, "seed", 0, 2**32 - 1)
         origins, directions = check_rays(origins, directions)
         start, inside, hit = enter(self.grid, origins, directions)
         distances = np.full(len(origins), np.inf)
@@ -254,14 +253,6 @@ def engine(grid, device):
     from .paths_opencl import OpenclPaths  # only now: it needs pyopencl
 
     return OpenclPaths(grid, device)
-
-
-def check_whole(value, what, lowest, highest):
-    """Refuse a number that is not whole, or out of its range, with a SettingsError."""
-    if not isinstance(value, int | np.integer) or not lowest <= value <= highest:
-        raise SettingsError(
-            f"The {what} must be a whole number from {lowest} to {highest}; it is {value}."
-        )
 
 
 def check_rays(origins, directions):

@@ -20,7 +20,7 @@ from math import floor, log2
 
 import numpy as np
 
-from ..errors import MediumError
+from ..errors import MediumError, require_whole
 from .bounds import Bound
 from .medium import LARGEST, Domain, Medium, optics_by_band
 from .random import mix_bits
@@ -248,10 +248,7 @@ class PerlinMedium:
 
 
 def _whole(value, what, lowest, highest):
-    if not isinstance(value, int | np.integer) or not lowest <= value <= highest:
-        raise MediumError(
-            f"The {what} must be a whole number from {lowest} to {highest}; it is {value}."
-        )
+    require_whole(value, what, lowest, highest, MediumError)
     return int(value)
 
 

@@ -13,11 +13,11 @@ from math import prod
 
 import numpy as np
 
-from ..errors import Cancelled, LightError, MediumError, SettingsError
+from ..errors import Cancelled, LightError, MediumError, SettingsError, require_whole
 from . import device as devices
 from . import tallies
 from .field import Clock, Field, Handed, PhotonReport
-from .free_path import MOST_STEPS, check_whole, engine, enter, path_grid, refuse_violations
+from .free_path import MOST_STEPS, engine, enter, path_grid, refuse_violations
 from .lights import Emission, multiple
 from .medium import Domain
 from .perlin import PerlinMedium
@@ -127,11 +127,11 @@ def trace(
 
 
 def _refuse_unfit(medium, photons, handover, spacing, seed, most_steps):
-    check_whole(photons, "number of photons", 1, 2**40)
-    check_whole(seed, "seed", 0, 2**32 - 1)
+    require_whole(photons, "number of photons", 1, 2**40)
+    require_whole(seed, "seed", 0, 2**32 - 1)
     if handover is not None:
-        check_whole(handover, "collision at which photons are handed over", 1, 2**31 - 1)
-    check_whole(most_steps, "number of steps", 1, 2**31 - 1)
+        require_whole(handover, "collision at which photons are handed over", 1, 2**31 - 1)
+    require_whole(most_steps, "number of steps", 1, 2**31 - 1)
     if not _CLOSEST <= spacing < np.inf:
         raise SettingsError(
             f"The spacing of scores must be {_CLOSEST} voxels or more; it is {spacing}."
@@ -144,7 +144,7 @@ def _tally_shape(medium, tallied):
     if not isinstance(medium, PerlinMedium):
         return medium.shape
     edge = min(_TALLIED, medium.resolution) if tallied is None else tallied
-    check_whole(edge, "field's number of voxels along an edge", 1, medium.resolution)
+    require_whole(edge, "field's number of voxels along an edge", 1, medium.resolution)
     return (edge,) * 3
 
 

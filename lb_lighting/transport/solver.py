@@ -6,7 +6,7 @@ from math import prod
 
 import numpy as np
 
-from ..errors import Cancelled, LightError, MediumError, SettingsError
+from ..errors import Cancelled, LightError, MediumError, SettingsError, require_known
 from . import device as devices
 from .field import Clock, Field, Report
 from .lattice import UNIT, WEIGHTS, collision_matrix
@@ -41,10 +41,7 @@ class Settings:
             (self.model, MODELS, "model"),
             (self.kernel, KERNELS, "kernel"),
         ):
-            if value not in known:
-                raise SettingsError(
-                    f"There is no {what} called '{value}'; choose one of: {', '.join(known)}."
-                )
+            require_known(value, known, what)
         if self.steps is not None and self.steps < 1:
             raise SettingsError(f"The number of steps must be 1 or more; it is {self.steps}.")
 

@@ -292,6 +292,7 @@ def of_one_noise(resolution, contrast, found):
     """The rows of one noise, without the ratios; those of ray marching and Woodcock first."""
     unit = PerlinMedium(resolution, 1.0, 0, 1, **CONTRASTS[contrast])
     mean = float(unit.voxels(64).density.mean(dtype=float))
+    largest = float(unit.constant_bound(1).values.max())
     depth = stopping_depth(unit, mean, found)
     medium = PerlinMedium(resolution, 1.0, 0, depth / mean, **CONTRASTS[contrast])
     cases = [("ray_march", None), ("woodcock", None), *((s, None) for s in SUPERVOXELS)]
@@ -308,7 +309,7 @@ def of_one_noise(resolution, contrast, found):
         yield {
             "resolution": resolution,
             "contrast": contrast,
-            "largest / mean": grid.majorant / mean,
+            "largest / mean": largest / mean,
             "depth": depth,
             "sampler": sampler,
             "super-voxels": {"ray_march": resolution, "woodcock": 1}.get(sampler, grid.cells[0]),

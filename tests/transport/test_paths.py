@@ -62,9 +62,7 @@ __kernel void follow(GRID_PARAMETERS, __global const float *rays, const int coun
     const Grid g = GRID;
     const int ray = get_global_id(0);
     Path p;
-    p.ox = rays[ray], p.oy = rays[count + ray], p.oz = rays[2 * count + ray];
-    p.dx = rays[3 * count + ray], p.dy = rays[4 * count + ray], p.dz = rays[5 * count + ray];
-    enter(&p, g);
+    enter(&p, g, rays, count, ray);
     Random random = random_stream(0, ray);
     start_flight(&p, g, &random);
     float furthest = 0.0f;
