@@ -15,12 +15,19 @@ import numpy as np
 from . import job
 from .errors import OutputError, SceneError, SettingsError, require_known
 from .output import attribute, shading, volume
-from .scene.lights import scene_lights
-from .scene.sources import FROM_MATERIAL, Reader, mixture, open_sources
+from .scene.lights import scene_lights, unread_lamps
+from .scene.sources import (
+    FROM_MATERIAL,
+    Reader,
+    mixture,
+    occluders,
+    open_sources,
+    with_shadows,
+)
 from .scene.volumes import box_bounds
 from .transport.field import Field
 from .transport.medium import PRESETS, Domain, Medium, paper_units
-from .transport.solver import Settings
+from .transport.solver import MODELS, Settings
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 
@@ -35,15 +42,18 @@ class Options:
     medium: str = FROM_MATERIAL  # or the name of a preset
     optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
     grid: str = ""  # grid to read from volumes, or "" for the material's
+    model: str = "physical"  # or "paper"
+    handover: float = 0.0  # transport optical depths that photons are traced for, by "physical"
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
     strength: float = 1.0  # factor on the light in the render
-    keep_absorbed: bool = False  # emit absorbed light again
+    keep_absorbed: bool = False  # emit absorbed light again, by "paper"
     device: str = ""  # part of a device's label, or "" for the best
     folder: str = ""  # where the .vdb goes, or "" for the .blend's own folder
 
     def __post_init__(self):
         for value, known, what in (
             (self.medium, (FROM_MATERIAL, *PRESETS), "medium"),
+            (self.model, tuple(MODELS), "model"),
             (self.mode, tuple(shading.MODES), "mode"),
         ):
             require_known(value, known, what)
@@ -53,6 +63,11 @@ class Options:
             raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
         if not (self.strength >= 0 and np.isfinite(self.strength)):
             raise SettingsError(f"The strength must not be negative; it is {self.strength}.")
+        self.settings()  # refuses the others
+
+    def settings(self):
+        """The solver's `Settings`."""
+        return Settings(model=self.model, handover=self.handover, keep_absorbed=self.keep_absorbed)
 
     @classmethod
     def of(cls, scene, **changes):
@@ -109,9 +124,14 @@ def bake(context, objects, options, progress=None):
     objects = sources_of(context.scene, objects)
     _refuse_unwritable(objects, options)
     problem = gather(context, objects, options)
-    settings = Settings(keep_absorbed=options.keep_absorbed)
-    medium = paper_units(problem.medium)
-    result = job.solve(medium, problem.lights, settings, options.device or None, progress)
+    medium = paper_units(problem.medium) if options.model == "paper" else problem.medium
+    device = options.device or None
+    result = job.solve(medium, problem.lights, options.settings(), device, progress)
+    if not result.report.converged:
+        problem.notes.append(
+            f"The light had not settled after {result.report.steps} steps and may be too dark; "
+            "a lower resolution settles sooner."
+        )
     if result.report.device.startswith("NumPy"):
         problem.notes.append(
             "Solved with NumPy; an OpenCL driver for your processor or graphics card is faster."
@@ -126,38 +146,47 @@ def gather(context, objects, options):
         reader = Reader(depsgraph, options.medium, options.optical_depth, options.grid)
         sources = open_sources(objects, reader)
         domain = _domain(context, sources, options)
-        job.require_memory(domain.shape, options.device)
+        job.require_memory(domain.shape, options.device, options.model)
         _refuse_tiny(domain)
         shares = {source: source.shares(domain) for source in sources}
         occlusions = [o for source in sources if (o := source.occlusion(domain)) is not None]
+        reader.notes.extend(unread_lamps(depsgraph))
         lights = scene_lights(context.scene, depsgraph)
-    density, optics = reader.mixture([share for own in shares.values() for share in own])
+    everything = [share for own in shares.values() for share in own]
+    density, optics = reader.mixture(everything)
+    occlusion, albedo = occluders(occlusions) if occlusions else (None, np.zeros(1))
+    bands = _bands(optics, lights, albedo)
     volumes = [share for source, own in shares.items() for share in own if source.is_volume]
     medium = Medium(
         density,
         domain.voxel_size,
-        *(np.broadcast_to(v, _bands(optics, lights)) for v in (optics.sigma_s, optics.sigma_a)),
+        *(np.broadcast_to(v, bands) for v in (optics.sigma_s, optics.sigma_a)),
         optics.g,
         domain.origin,
-        occlusion=np.max(occlusions, axis=0) if occlusions else None,
+        occlusion=occlusion,
+        occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
     )
     shown = mixture(volumes) if volumes else (density, optics)
-    return Problem(medium, shown, lights, sources, reader.notes)
+    return Problem(medium, shown, with_shadows(lights, everything), sources, reader.notes)
 
 
 def apply(context, problem, result, options):
     """Write the result to disk, then into the scene."""
     surfaces = [source.ob for source in problem.sources if source.shows_light]
     meshes = [ob for ob in surfaces if ob.type == "MESH"]
-    light = result.mean_radiance()
+    light, others, beams = volume.volume_light(result, problem.lights, options.mode)
     name = problem.sources[0].ob.name
     path = volume.fresh_path(_folder(options), name)
     stamp = _stamp(context.scene, problem, result, options)
-    volume.write_vdb(path, result.domain, problem.shown[0], light, stamp)
+    volume.write_vdb(path, result.domain, problem.shown[0], light, stamp, others)
 
-    _show_volume(context, problem, path, options)
+    _show_volume(context, problem, beams, path, options)
     depsgraph = context.evaluated_depsgraph_get()
-    attribute.write_ambient(meshes, depsgraph, result.domain, light)
+    bodies = [source.ob for source in problem.sources if source.is_body]
+    # The paper's opaque voxels are not dark, they only send on less of their light.
+    occlusion = None if options.model == "paper" else problem.medium.occlusion
+    walls = [source.ob for source in problem.sources if source.is_wall]
+    attribute.write_ambient(meshes, depsgraph, result, bodies, walls, occlusion)
     for ob in meshes:
         shading.light_surface(ob, options.strength)
     unlit = [
@@ -278,11 +307,11 @@ def _box(context, name):
     return lower, upper
 
 
-def _bands(optics, lights):
-    """3 where a coefficient or a light has a colour, else 1."""
+def _bands(optics, lights, albedo):
+    """3 where a coefficient, a light or an occluder has a colour, else 1."""
     values = [optics.sigma_s, optics.sigma_a, optics.g]
     values += [light.spectrum for light in lights]
-    return max(np.size(value) for value in values)
+    return max(len(albedo), *(np.size(value) for value in values))
 
 
 def _folder(options):
@@ -293,8 +322,9 @@ def _folder(options):
 
 def _stamp(scene, problem, result, options):
     """What the file was made of and how, flat, for its metadata."""
-    report = asdict(result.report)
-    report["seconds"] = sum(report["seconds"].values())
+    facts = asdict(result.report).items()
+    report = {name: value for name, value in facts if np.isscalar(value)}  # metadata holds no more
+    report["seconds"] = sum(result.report.seconds.values())
     coefficients = {
         name: " ".join(f"{value:g}" for value in getattr(problem.medium, name))
         for name in ("sigma_s", "sigma_a", "g")
@@ -308,7 +338,7 @@ def _stamp(scene, problem, result, options):
     }
 
 
-def _show_volume(context, problem, path, options):
+def _show_volume(context, problem, beams, path, options):
     """A Volume object for the file; it renders only where it stands for volumes."""
     sources = [source.ob for source in problem.sources]
     ob = volume.show_volume(context, sources, path)
@@ -317,7 +347,8 @@ def _show_volume(context, problem, path, options):
     _release(context, gone + volume.lost_sources(context.scene), [])
     volumes = any(source.is_volume for source in problem.sources)
     _density, optics = problem.shown
-    shading.shade_volume(ob, options.mode, optics.sigma_s, optics.sigma_a, options.strength)
+    coefficients = optics.sigma_s, optics.sigma_a, optics.g
+    shading.shade_volume(ob, options.mode, *coefficients, beams, options.strength)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes
     for source in problem.sources:

@@ -26,9 +26,11 @@ _HELP = {
     "medium": "MATERIAL, cloud, plant or pmma",
     "optical_depth": "of the longest edge at density 1, for presets",
     "grid": "grid to read from volumes and smoke",
+    "model": "physical or paper",
+    "handover": "transport optical depths that photons are traced for before the lattice",
     "mode": "REPLACE or ADD",
     "strength": "factor on the light in the render",
-    "keep_absorbed": "emit absorbed light again",
+    "keep_absorbed": "emit absorbed light again, in the paper's model",
     "device": "part of a device's name",
     "folder": "where the .vdb is written",
 }

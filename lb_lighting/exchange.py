@@ -17,8 +17,17 @@ from .transport.medium import Domain, Medium
 from .transport.solver import Settings
 
 _LIGHTS = {light.__name__: light for light in (Sun, Sky, PointLight)}
-_MEDIUM_ARRAYS = ("density", "sigma_s", "sigma_a", "g", "emission", "occlusion")
-_FIELD_ARRAYS = ("fluence", "direct", "flux", "variance")
+_MEDIUM_ARRAYS = (
+    "density",
+    "sigma_s",
+    "sigma_a",
+    "g",
+    "emission",
+    "occlusion",
+    "occlusion_albedo",
+    "shift",
+)
+_FIELD_ARRAYS = ("fluence", "direct", "flux", "variance", "by_light")
 
 
 def save_problem(path, medium, lights, settings, device):
@@ -30,46 +39,56 @@ def save_problem(path, medium, lights, settings, device):
         "settings": asdict(settings),
         "device": device,
     }
-    _save(path, facts, medium, _MEDIUM_ARRAYS)
+    shadows = {_shadow(n): getattr(light, "shadow_density", None) for n, light in enumerate(lights)}
+    _save(path, facts, {name: getattr(medium, name) for name in _MEDIUM_ARRAYS} | shadows)
 
 
 def load_problem(path):
     """(medium, lights, settings, device) as `save_problem` took them."""
     facts, arrays = _load(path)
+    lights = [
+        _light(light, arrays.pop(_shadow(n), None)) for n, light in enumerate(facts["lights"])
+    ]
     medium = Medium(voxel_size=facts["voxel_size"], origin=facts["origin"], **arrays)
-    lights = [_LIGHTS[light.pop("kind")](**light) for light in facts["lights"]]
     return medium, lights, Settings(**facts["settings"]), facts["device"]
 
 
 def save_field(path, field):
     facts = {"domain": asdict(field.domain), "report": asdict(field.report)}
-    _save(path, facts, field, _FIELD_ARRAYS)
+    _save(path, facts, {name: getattr(field, name) for name in _FIELD_ARRAYS})
 
 
 def load_field(path):
     facts, arrays = _load(path)
-    domain = facts["domain"]
+    domain, report = facts["domain"], facts["report"]
+    report["energy"] = {where: np.array(power) for where, power in report["energy"].items()}
     return Field(
         domain=Domain(tuple(domain["origin"]), domain["voxel_size"], tuple(domain["shape"])),
-        report=Report(**facts["report"]),
+        report=Report(**report),
         **arrays,
     )
 
 
 def _light_facts(light):
+    """What JSON can hold of a light: all but its shadow's grid."""
     if isinstance(light, Sky) and callable(light.radiance):
         raise LightError("A sky given as a function can be solved in the same process only.")
-    values = {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in vars(light).items()
-    }
+    values = {name: value for name, value in vars(light).items() if name != "shadow_density"}
     return {"kind": type(light).__name__, **values}
 
 
-def _save(path, facts, holder, names):
-    arrays = {name: getattr(holder, name) for name in names}
+def _light(facts, shadow):
+    kind = _LIGHTS[facts.pop("kind")]
+    return kind(**facts) if shadow is None else kind(**facts, shadow_density=shadow)
+
+
+def _shadow(number):
+    return f"shadow_{number}"
+
+
+def _save(path, facts, arrays):
     present = {name: array for name, array in arrays.items() if array is not None}
-    np.savez(path, facts=json.dumps(facts), **present)
+    np.savez(path, facts=json.dumps(facts, default=np.ndarray.tolist), **present)
 
 
 def _load(path):

@@ -37,9 +37,9 @@ def solve(medium, lights, settings, device=None, progress=None):
         return exchange.load_field(result)
 
 
-def require_memory(shape, device=None):
+def require_memory(shape, device=None, model="physical"):
     """Refuse, with a DeviceError, a domain of `shape` voxels that the device cannot hold."""
-    for _ in _messages("plan", *map(str, shape), device or ""):
+    for _ in _messages("plan", *map(str, shape), model, device or ""):
         pass
 
 

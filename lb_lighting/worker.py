@@ -2,7 +2,7 @@
 """The solver's own process: no Blender in it, and no OpenCL in Blender's.
 
     python -m lb_lighting.worker solve PROBLEM.npz FIELD.npz
-    python -m lb_lighting.worker plan NX NY NZ DEVICE
+    python -m lb_lighting.worker plan NX NY NZ MODEL DEVICE
     python -m lb_lighting.worker devices
 
 It answers on stdout, one JSON object a line: {"stage", "fraction"} while it works,
@@ -18,7 +18,7 @@ import sys
 from . import exchange
 from .errors import DeviceError, LightingError
 from .transport import device
-from .transport.solver import require_memory, solve
+from .transport.solver import Settings, require_memory, solve
 
 
 def main(arguments):
@@ -32,8 +32,8 @@ def main(arguments):
         if arguments == ["devices"]:
             say(devices=[found.line for found in device.devices()])
         elif arguments[0] == "plan":
-            *shape, wanted = arguments[1:]
-            require_memory(tuple(map(int, shape)), device=wanted)
+            *shape, model, wanted = arguments[1:]
+            require_memory(tuple(map(int, shape)), Settings(model=model), wanted)
         else:
             _, problem, result = arguments
             _solve(problem, result, say)

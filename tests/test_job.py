@@ -39,7 +39,9 @@ def large():
 def test_problem_is_read_as_it_was_written(tmp_path, medium):
     path = tmp_path / "problem.npz"
     lights = [SUN, Sky(0.5), PointLight((1, 2, 3), np.array((1.0, 2.0, 3.0)))]
-    exchange.save_problem(path, medium, lights, Settings(steps=5, keep_absorbed=True), "abc")
+    exchange.save_problem(
+        path, medium, lights, Settings("paper", steps=5, keep_absorbed=True), "abc"
+    )
     found, found_lights, settings, device = exchange.load_problem(path)
     for name in ("density", "sigma_s", "sigma_a", "g", "occlusion"):
         assert np.array_equal(getattr(found, name), getattr(medium, name))
@@ -48,12 +50,12 @@ def test_problem_is_read_as_it_was_written(tmp_path, medium):
     assert [type(light) for light in found_lights] == [Sun, Sky, PointLight]
     assert tuple(found_lights[0].direction) == SUN.direction
     assert tuple(found_lights[2].power) == (1, 2, 3)
-    assert (settings, device) == (Settings(steps=5, keep_absorbed=True), "abc")
+    assert (settings, device) == (Settings("paper", steps=5, keep_absorbed=True), "abc")
 
 
 def test_field_is_read_as_it_was_written(tmp_path, medium):
     path = tmp_path / "field.npz"
-    field = solve(medium, [SUN], Settings(steps=3), "NumPy")
+    field = solve(medium, [SUN], Settings("paper", steps=3), "NumPy")
     exchange.save_field(path, field)
     found = exchange.load_field(path)
     for name in ("fluence", "direct", "flux"):
@@ -70,9 +72,9 @@ def test_a_sky_with_a_function_stays_in_its_process(medium):
 def test_same_light_as_in_this_process(medium):
     told = []
     found = job.solve(
-        medium, [SUN, Sky(0.1)], Settings(), "NumPy", lambda *progress: told.append(progress)
+        medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy", lambda *progress: told.append(progress)
     )
-    expected = solve(medium, [SUN, Sky(0.1)], Settings(), "NumPy")
+    expected = solve(medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy")
     assert np.array_equal(found.fluence, expected.fluence)
     assert found.domain == expected.domain
     assert {stage for stage, _fraction in told} == {"solve"}
@@ -81,10 +83,23 @@ def test_same_light_as_in_this_process(medium):
     assert fractions[-1] == 1
 
 
+def test_physical_light_crosses_too():
+    sun = Sun((0, 0.6, -0.8), (1.0, 2.0), shadow_density=np.full((4, 5, 6), 0.5))
+    medium = Medium(np.ones((4, 5, 6)), 0.5, 1.0, (0.1, 0.2), shift=[[0, 0], [0.5, 0]])
+    settings = Settings(divide=2, tolerance=1e-3)
+    found = job.solve(medium, [sun], settings)
+    expected = solve(medium, [sun], settings)
+    for name in ("fluence", "direct", "flux", "by_light"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
+    assert found.report.energy.keys() == expected.report.energy.keys()
+    for where, power in expected.report.energy.items():
+        np.testing.assert_array_equal(found.report.energy[where], power)
+
+
 def test_starts_from_any_folder(tmp_path, monkeypatch, medium):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    assert job.solve(medium, [SUN], Settings(steps=1), "NumPy").report.steps == 1
+    assert job.solve(medium, [SUN], Settings("paper", steps=1), "NumPy").report.steps == 1
 
 
 @pytest.mark.parametrize(
@@ -96,7 +111,7 @@ def test_starts_from_any_folder(tmp_path, monkeypatch, medium):
 )
 def test_its_errors_are_raised_here(medium, lights, device, error, sentence):
     with pytest.raises(error, match=sentence):
-        job.solve(medium, lights, Settings(), device)
+        job.solve(medium, lights, Settings("paper"), device)
 
 
 def test_too_large_a_domain_is_refused_with_one_that_fits():
@@ -111,7 +126,9 @@ def test_too_large_a_domain_is_refused_with_one_that_fits():
 
 def test_a_killed_process_is_one_sentence(processes, large):
     with pytest.raises(SolverError) as caught:
-        job.solve(large, [Sky(1.0)], Settings(), "NumPy", lambda *_progress: processes[0].kill())
+        job.solve(
+            large, [Sky(1.0)], Settings("paper"), "NumPy", lambda *_progress: processes[0].kill()
+        )
     assert str(caught.value) == (
         "The solver's process was ended by signal 9; nothing was changed. "
         "Choose another device or a lower resolution."
@@ -129,14 +146,14 @@ def test_it_ends_where_its_caller_stops_listening(processes, large):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        job.solve(large, [Sky(1.0)], Settings(), "NumPy", interrupt)
+        job.solve(large, [Sky(1.0)], Settings("paper"), "NumPy", interrupt)
     assert processes[0].poll() is not None
 
 
 def test_without_opencl_numpy_solves(monkeypatch, medium):
     monkeypatch.setenv("OCL_ICD_VENDORS", NO_OPENCL)
     assert len(job.device_lines()) == 1
-    assert job.solve(medium, [SUN], Settings()).report.device == "NumPy (no OpenCL)"
+    assert job.solve(medium, [SUN], Settings("paper")).report.device == "NumPy (no OpenCL)"
 
 
 def test_devices_are_listed_with_numpy_last():

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Photons on free paths: they scatter, lose weight by absorption, and leave scores in a grid of
-// tallies. transport/paths_numpy.py is the twin. Built behind paths.cl, with KEEP_FLUX
-// where the flux is wanted beside the fluence.
+// tallies. transport/paths_numpy.py is the twin. Built behind paths.cl, with
+//   KEEP_DIRECT  light is wanted, too, that has neither collided nor been reflected
+//   KEEP_FLUX    the flux is wanted, too
+//   OCCLUSION    voxels are opaque; fine cells are the voxels then
 //
 // Scores are whole numbers of UNIT, added in any order to the same sum: a seed gives the same
 // result however a device schedules its work. A tally is 64 bits in two words of 32, which every
@@ -11,7 +13,8 @@
 #define UNIT 0x1p24f // in a weight of 1; one of up to 64 fits a signed word
 
 // What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
-// Of light that has not collided: its weight. Of light that has:
+// Of light that has neither collided nor been reflected, where KEEP_DIRECT: its weight. Of light
+// that has:
 #define WEIGHT 0 // its weight
 #define FLUX 1   // three, where KEEP_FLUX: weight and direction
 #ifdef KEEP_FLUX
@@ -91,22 +94,24 @@ inline size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, 
 
 // Score a flight, up to where it has come, at the points that are due; when the next one is.
 inline float score(const Path *p, const Tallies v, float at, const float spacing,
-                   const float weight, const int collisions, __global uint *direct,
+                   const float weight, const int turned, __global uint *direct,
                    __global uint *scattered)
 {
     for (; at < p->t; at += spacing) {
         float x, y, z;
         const size_t voxel = voxel_at(p, v, at, &x, &y, &z);
-        if (collisions > 0) {
+        if (turned) {
             __global uint *tally = scattered + SCATTERED_TALLIES * voxel;
             const size_t upper = SCATTERED_TALLIES * v.voxels;
             add(tally + WEIGHT, upper, weight);
 #ifdef KEEP_FLUX
             add_vector(tally + FLUX, upper, weight, p->dx, p->dy, p->dz);
 #endif
-        } else {
-            add(direct + voxel, v.voxels, weight);
         }
+#ifdef KEEP_DIRECT
+        else
+            add(direct + voxel, v.voxels, weight);
+#endif
     }
     return at;
 }
@@ -156,6 +161,102 @@ inline void scatter(Path *p, const Grid g, Random *random, const float mean_cosi
     start_flight(p, g, random);
 }
 
+// Where a flight is among opaque voxels, and what stopped it last. The voxel is carried along, not
+// found from coordinates: rounding must not bring a photon through a wall.
+typedef struct {
+    int i, j, k; // the voxel
+    int axis;    // of the face at which the flight was stopped
+    size_t by;   // number of the voxel behind it
+} Place;
+
+#ifdef OCCLUSION
+inline Place place_of(const Path *p, const Grid g)
+{
+    return (Place){clamp((int)p->ox, 0, g.nx - 1), clamp((int)p->oy, 0, g.ny - 1),
+                   clamp((int)p->oz, 0, g.nz - 1), 0, 0};
+}
+
+// Follow a flight from voxel to voxel up to where it has come, and cut it at the first face that
+// stops it; whether one does.
+inline int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
+                Place *at)
+{
+    for (;;) {
+        const float tx = crossing(at->i, 1, p->ox, p->dx, p->ix);
+        const float ty = crossing(at->j, 1, p->oy, p->dy, p->iy);
+        const float tz = crossing(at->k, 1, p->oz, p->dz, p->iz);
+        const float next = fmin(tx, fmin(ty, tz));
+        const int axis = tx <= fmin(ty, tz) ? 0 : ty <= tz ? 1 : 2;
+        const int i = at->i + (axis != 0 ? 0 : p->dx >= 0.0f ? 1 : -1);
+        const int j = at->j + (axis != 1 ? 0 : p->dy >= 0.0f ? 1 : -1);
+        const int k = at->k + (axis != 2 ? 0 : p->dz >= 0.0f ? 1 : -1);
+        const int inside = ((uint)i < (uint)g.nx) & ((uint)j < (uint)g.ny) &
+                           ((uint)k < (uint)g.nz);
+        if (next >= p->t || !inside)
+            return 0;
+        const size_t voxel = ((size_t)i * g.ny + j) * g.nz + k;
+        const float share = occlusion[voxel];
+        if (share > 0.0f && (share == 1.0f || random_next(random) < share)) {
+            p->t = fmax(next, 0.0f);
+            at->axis = axis;
+            at->by = voxel;
+            return 1;
+        }
+        at->i = i;
+        at->j = j;
+        at->k = k;
+    }
+}
+
+// Send a stopped flight back, by the cosine about the face's normal (Lambert), and start anew.
+inline void reflect(Path *p, const Grid g, Random *random, const Place at)
+{
+    const float squared = random_next(random);
+    const float back = sqrt(squared), aside = sqrt(1.0f - squared);
+    float u;
+    const float v = aside * sincos(2 * M_PI_F * random_next(random), &u);
+    u *= aside;
+    p->ox = clamp(p->ox + p->t * p->dx, g.lower, g.upper_x);
+    p->oy = clamp(p->oy + p->t * p->dy, g.lower, g.upper_y);
+    p->oz = clamp(p->oz + p->t * p->dz, g.lower, g.upper_z);
+    if (at.axis == 0) {
+        p->ox = at.i + (p->dx >= 0.0f);
+        p->dx = p->dx >= 0.0f ? -back : back;
+        p->dy = u;
+        p->dz = v;
+    } else if (at.axis == 1) {
+        p->oy = at.j + (p->dy >= 0.0f);
+        p->dx = v;
+        p->dy = p->dy >= 0.0f ? -back : back;
+        p->dz = u;
+    } else {
+        p->oz = at.k + (p->dz >= 0.0f);
+        p->dx = u;
+        p->dy = v;
+        p->dz = p->dz >= 0.0f ? -back : back;
+    }
+    p->i = at.i / g.size; // `advance` may have gone on behind the face
+    p->j = at.j / g.size;
+    p->k = at.k / g.size;
+    start_flight(p, g, random);
+}
+#else
+inline Place place_of(const Path *p, const Grid g)
+{
+    return (Place){0, 0, 0, 0, 0};
+}
+
+inline int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
+                Place *at)
+{
+    return 0;
+}
+
+inline void reflect(Path *p, const Grid g, Random *random, const Place at)
+{
+}
+#endif
+
 // The face through which a flight leaves, in the order of LEFT_THROUGH.
 inline int face(const Path *p, const Grid g)
 {
@@ -166,46 +267,56 @@ inline int face(const Path *p, const Grid g)
 }
 
 // photons    7 x count: origin in fine cells, unit direction, weight from 0 to 64
+// copies     paths that begin as each photon does
+// first      number of the first path
 // spacing    a path is scored at points this far apart, the first at random: in expectation its
 //            length in every voxel, over `spacing` (a track length estimator)
 // last       the collision at which a photon is handed over instead of scattered, or 0
+// occlusion  by voxel, as its albedo: the shares stopped, and reflected of what is stopped; not
+//            read but where OCCLUSION
 __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, const int count,
-                            const uint seed, const uint first, const int most_steps,
-                            const float albedo, const float mean_cosine, const float spacing,
-                            const int last, TALLIES_PARAMETERS, __global uint *direct,
-                            __global uint *scattered, __global uint *handed,
-                            __global long *sums)
+                            const int copies, const uint seed, const uint first,
+                            const int most_steps, const float albedo, const float mean_cosine,
+                            const float spacing, const int last,
+                            __global const float *occlusion,
+                            __global const float *occlusion_albedo, TALLIES_PARAMETERS,
+                            __global uint *direct, __global uint *scattered,
+                            __global uint *handed, __global long *sums)
 {
     const Grid g = GRID;
     const Tallies v = TALLIES;
     const int stride = (int)get_global_size(0);
-    int photon = (int)get_global_id(0);
-    int fresh = 1, steps = 0, collisions = 0;
+    int path = (int)get_global_id(0);
+    int fresh = 1, steps = 0, collisions = 0, turned = 0;
     float weight = 0.0f, least = 0.0f, score_at = 0.0f;
     long sum[SUMS];
     for (int n = 0; n < SUMS; n++)
         sum[n] = 0;
     Path p;
+    Place at;
     Random random;
-    while (photon < count) {
+    while (path < count * copies) {
         if (fresh) {
-            enter(&p, g, photons, count, photon);
-            weight = photons[6 * count + photon];
+            enter(&p, g, photons, count, path / copies);
+            weight = photons[6 * count + path / copies];
             least = weight * 0.1f;
-            random = random_stream(seed, first + photon);
+            random = random_stream(seed, first + path);
             score_at = random_next(&random) * spacing;
             start_flight(&p, g, &random);
-            fresh = steps = collisions = 0;
+            fresh = steps = collisions = turned = 0;
+            at = place_of(&p, g);
         }
         const int event = advance(&p, g, &random);
         steps++;
-        const int lost = steps >= most_steps && event != LEFT;
-        if (event != COLLIDED && event != LEFT && !lost)
+        if (event != COLLIDED && event != LEFT && steps < most_steps)
             continue;
+        const int stopped = stop(&p, g, &random, occlusion, &at);
+        const int left = event == LEFT && !stopped;
+        const int lost = steps >= most_steps && !left;
 
-        score_at = score(&p, v, score_at, spacing, weight, collisions, direct, scattered);
-        int done = event == LEFT || lost;
-        if (event == LEFT) {
+        score_at = score(&p, v, score_at, spacing, weight, turned, direct, scattered);
+        int done = left || lost;
+        if (left) {
             const int through = face(&p, g);
             for (int n = 0; n < 6; n++) // not sum[... + through]: the sums stay in registers
                 sum[LEFT_THROUGH + n] += n == through ? in_units(weight) : 0;
@@ -213,11 +324,12 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
             sum[LOST] += in_units(weight);
             sum[LOST_PHOTONS]++;
         } else {
-            collisions++;
-            const float kept = weight * albedo;
+            turned = 1;
+            collisions += !stopped;
+            const float kept = weight * (stopped ? occlusion_albedo[at.by] : albedo);
             sum[ABSORBED] += in_units(weight) - in_units(kept);
             weight = kept;
-            if (collisions == last) {
+            if (!stopped && collisions == last) {
                 hand_over(&p, v, weight, handed);
                 sum[HANDED] += in_units(weight);
                 done = 1;
@@ -229,13 +341,16 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
             }
             if (!done) {
                 score_at -= p.t;
-                scatter(&p, g, &random, mean_cosine);
+                if (stopped)
+                    reflect(&p, g, &random, at);
+                else
+                    scatter(&p, g, &random, mean_cosine);
             }
         }
         if (done) {
             sum[COLLISIONS] += collisions;
             sum[VIOLATIONS] += p.violated;
-            photon += stride;
+            path += stride;
             fresh = 1;
         }
     }

@@ -1,27 +1,45 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node groups `LB Volume Light` and `LB Ambient`, made once in a file by code."""
+"""The node groups `LB Volume Light`, `LB Beam` and `LB Ambient`, made once in a file by code."""
 
 import bpy
 
-from .attribute import AMBIENT_ATTRIBUTE
+from .attribute import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE
 from .ours import TAG, find_ours
-from .volume import DENSITY_GRID, LIGHT_GRID
+from .volume import DENSITY_GRID, FLUX_GRID, LIGHT_GRID
 
 VOLUME_GROUP = "LB Volume Light"
+BEAM_GROUP = "LB Beam"
 AMBIENT_GROUP = "LB Ambient"
 
 
 def volume_group():
     """Absorption and emission of the baked volume.
 
-    Replace on:  absorption (sigma_s + sigma_a) density, emission sigma_s density light
+    Replace on:  absorption (sigma_s + sigma_a) density, emission sigma_s density (light + Direct)
     Replace off: the same emission, for camera rays alone, and no absorption
+
+    The light is scattered towards the eye as if it came from all sides by the law of Henyey and
+    Greenstein with the mean cosine that its net flux tells. Scattering keeps that law and
+    multiplies the mean cosines, so an LB Beam does both.
     """
     return _group(VOLUME_GROUP, _build_volume)
 
 
+def beam_group():
+    """Others + Light p: what of one light more, of mean radiance Light, is scattered to the eye.
+
+    p is the phase function of Henyey and Greenstein over that of isotropic scattering, for the
+    angle between the light's Direction and the way to the eye, band by band:
+    (1 - g^2) / (1 + g^2 - 2 g cos)^1.5.
+    """
+    return _group(BEAM_GROUP, _build_beam)
+
+
 def ambient_group():
-    """The user's closure and, for camera rays, the emission Color x Alpha x light x Strength."""
+    """The user's closure and, for camera rays, the emission Color x Alpha x light x Strength.
+
+    The light is that of the side which is seen, or, where Through is on, of the other side.
+    """
     return _group(AMBIENT_GROUP, _build_ambient)
 
 
@@ -45,11 +63,15 @@ def _build_volume(tree):
         "On: show the medium and all its light. Off: add light, for camera rays, over the source"
     )
     _socket(tree, "Replace", "INPUT", "NodeSocketBool", replace, True)
+    direct = "Light of lamps that is scattered towards the eye once, from LB Beam, in W/(m2 sr)"
+    _socket(tree, "Direct", "INPUT", "NodeSocketVector", direct)
+    _socket(tree, "G", "INPUT", "NodeSocketVector", "Mean cosine of the scattering angle")
     group = _node(tree, "NodeGroupInput", -800, 0)
     density = _attribute(tree, DENSITY_GRID, -800, 300)
-    light = _attribute(tree, LIGHT_GRID, -800, -200)
+    light = _attribute(tree, LIGHT_GRID, -1200, -200).outputs["Vector"]
+    flux = _attribute(tree, FLUX_GRID, -1200, -400).outputs["Vector"]
     camera = _node(tree, "ShaderNodeLightPath", -800, -400).outputs["Is Camera Ray"]
-    strength, sigma_s, sigma_a, replace = group.outputs[:4]
+    strength, sigma_s, sigma_a, replace, direct, g = group.outputs[:6]
 
     sigma_t = _vector(tree, "ADD", sigma_s, sigma_a, -600, 200)
     matter = _math(tree, "MULTIPLY", density.outputs["Factor"], replace, -600, 400)
@@ -57,7 +79,13 @@ def _build_volume(tree):
 
     visible = _math(tree, "MAXIMUM", camera, replace, -600, -400)
     glow = _math(tree, "MULTIPLY", density.outputs["Factor"], strength, -600, 0)
-    scattered = _vector(tree, "MULTIPLY", sigma_s, light.outputs["Vector"], -400, -200)
+    cosine = _vector(tree, "LENGTH", flux, None, -1000, -400, output="Value")
+    kept = _vector(tree, "SCALE", g, cosine, -800, -600)
+    beam = _node(tree, "ShaderNodeGroup", -600, -200)
+    beam.node_tree = beam_group()
+    for name, value in (("Others", direct), ("Light", light), ("Direction", flux), ("G", kept)):
+        tree.links.new(value, beam.inputs[name])
+    scattered = _vector(tree, "MULTIPLY", sigma_s, beam.outputs["Radiance"], -400, -200)
     factor = _math(tree, "MULTIPLY", glow, visible, -400, 0)
     emission = _vector(tree, "SCALE", scattered, factor, -200, -100)
 
@@ -69,20 +97,57 @@ def _build_volume(tree):
     tree.links.new(volume.outputs["Volume"], output.inputs["Volume"])
 
 
+def _build_beam(tree):
+    _socket(tree, "Radiance", "OUTPUT", "NodeSocketVector", "Connect to the next beam's Others")
+    _socket(tree, "Others", "INPUT", "NodeSocketVector", "Radiance of the beams before, W/(m2 sr)")
+    _socket(
+        tree, "Light", "INPUT", "NodeSocketVector", "Mean radiance over directions, in W/(m2 sr)"
+    )
+    _socket(tree, "Direction", "INPUT", "NodeSocketVector", "The way it travels, of any length")
+    _socket(tree, "G", "INPUT", "NodeSocketVector", "Mean cosine of the scattering angle")
+    group = _node(tree, "NodeGroupInput", -1000, 0)
+    others, light, direction, g = group.outputs[:4]
+    # In a volume this is the way from the place to the eye.
+    eye = _node(tree, "ShaderNodeNewGeometry", -1000, -300).outputs["Incoming"]
+
+    along = _vector(tree, "NORMALIZE", direction, None, -800, -100)
+    cosine = _vector(tree, "DOT_PRODUCT", along, eye, -800, -300, output="Value")
+    square = _vector(tree, "MULTIPLY", g, g, -800, 300)
+    straight = _vector(tree, "SUBTRACT", (1, 1, 1), square, -600, 300)
+    twice = _vector(tree, "ADD", g, g, -800, 100)
+    shift = _vector(tree, "SCALE", twice, cosine, -600, -200)
+    base = _vector(tree, "ADD", (1, 1, 1), square, -600, 100)
+    base = _vector(tree, "SUBTRACT", base, shift, -400, 0)
+    peak = _vector(tree, "POWER", base, (-1.5,) * 3, -200, 0)
+    phase = _vector(tree, "MULTIPLY", straight, peak, 0, 200)
+    scattered = _vector(tree, "MULTIPLY", light, phase, 400, 0)
+    total = _vector(tree, "ADD", others, scattered, 600, 0)
+    output = _node(tree, "NodeGroupOutput", 800, 0)
+    tree.links.new(total, output.inputs["Radiance"])
+
+
 def _build_ambient(tree):
     _socket(tree, "Shader", "OUTPUT", "NodeSocketShader", "Connect where the closure was")
     _socket(tree, "Shader", "INPUT", "NodeSocketShader", "The closure to add ambient light to")
-    _socket(tree, "Color", "INPUT", "NodeSocketColor", "Diffuse reflectance", (0.8, 0.8, 0.8, 1.0))
+    color = "Share of the light that comes back, or through"
+    _socket(tree, "Color", "INPUT", "NodeSocketColor", color, (0.8, 0.8, 0.8, 1.0))
     _socket(tree, "Alpha", "INPUT", "NodeSocketFloat", "Share of the closure that is there", 1.0)
     _socket(tree, "Strength", "INPUT", "NodeSocketFloat", "Factor on the light", 1.0)
-    group = _node(tree, "NodeGroupInput", -800, 100)
-    ambient = _attribute(tree, AMBIENT_ATTRIBUTE, -800, -100)
-    camera = _node(tree, "ShaderNodeLightPath", -800, -300).outputs["Is Camera Ray"]
-    shader, color, alpha, strength = group.outputs[:4]
+    through = "On: the closure is translucent, and shows the light of the side that is not seen"
+    _socket(tree, "Through", "INPUT", "NodeSocketBool", through, False)
+    group = _node(tree, "NodeGroupInput", -1000, 100)
+    front = _attribute(tree, AMBIENT_ATTRIBUTE, -800, -100).outputs["Vector"]
+    back = _attribute(tree, BACK_ATTRIBUTE, -800, -300).outputs["Vector"]
+    facing = _node(tree, "ShaderNodeNewGeometry", -1000, -100).outputs["Backfacing"]
+    camera = _node(tree, "ShaderNodeLightPath", -800, -500).outputs["Is Camera Ray"]
+    shader, color, alpha, strength, through = group.outputs[:5]
+
+    is_front = _math(tree, "COMPARE", facing, through, -800, 100)
+    light = _mix(tree, is_front, back, front, -550, 0)
 
     emission = _node(tree, "ShaderNodeEmission", -150, -100)
-    reflected = _vector(tree, "MULTIPLY", color, ambient.outputs["Vector"], -350, 0)
-    tree.links.new(reflected, emission.inputs["Color"])
+    shown = _vector(tree, "MULTIPLY", color, light, -350, 0)
+    tree.links.new(shown, emission.inputs["Color"])
     seen = _math(tree, "MULTIPLY", alpha, camera, -550, -200)
     seen.node.use_clamp = True  # as the Principled BSDF clamps its alpha
     factor = _math(tree, "MULTIPLY", seen, strength, -350, -200)
@@ -123,10 +188,25 @@ def _math(tree, operation, a, b, x, y):
     return node.outputs["Value"]
 
 
-def _vector(tree, operation, a, b, x, y):
-    """A Vector Math node on the sockets `a` and `b`; returns its output socket."""
+def _mix(tree, factor, a, b, x, y):
+    """A Mix node of vectors, from the socket `a` to `b` by `factor`; returns its output socket."""
+    node = _node(tree, "ShaderNodeMix", x, y)
+    node.data_type = "VECTOR"
+    # The sockets of all data types are there, under names that repeat.
+    inputs = {socket.identifier: socket for socket in node.inputs}
+    for source, name in ((factor, "Factor_Float"), (a, "A_Vector"), (b, "B_Vector")):
+        tree.links.new(source, inputs[name])
+    return next(s for s in node.outputs if s.identifier == "Result_Vector")
+
+
+def _vector(tree, operation, a, b, x, y, output="Vector"):
+    """A Vector Math node on `a` and `b`, sockets or values; returns its output socket."""
     node = _node(tree, "ShaderNodeVectorMath", x, y)
     node.operation = operation
-    tree.links.new(a, node.inputs["Vector"])
-    tree.links.new(b, node.inputs["Scale"] if operation == "SCALE" else node.inputs[1])
-    return node.outputs["Vector"]
+    second = node.inputs["Scale"] if operation == "SCALE" else node.inputs[1]
+    for value, socket in ((a, node.inputs[0]), (b, second)):
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        elif value is not None:
+            socket.default_value = value
+    return node.outputs[output]

@@ -3,9 +3,10 @@
 
 Volumes: the node group `LB Volume Light` on the baked Volume object. "REPLACE" stands in
 for the source object: it absorbs, and emits all light scattered towards the eye; nothing
-in it scatters, so Cycles has nothing left to sample. "ADD" lies over the source and only
-emits, for camera rays alone, because Cycles would scatter the emission once more and
-count it twice.
+in it scatters, so Cycles has nothing left to sample. The light of each lamp that has not
+scattered yet comes from one direction, and a node `LB Beam` finds how much of it goes to the
+eye. "ADD" lies over the source and only emits, for camera rays alone, because Cycles would
+scatter the emission once more and count it twice.
 
 Surfaces: the node group `LB Ambient`, put right behind each closure that scatters
 diffusely, so that the user's own mixes weigh its emission; again for camera rays alone.
@@ -14,9 +15,18 @@ diffusely, so that the user's own mixes weigh its emission; again for camera ray
 import bpy
 
 from ..errors import OutputError
+from ..transport.lights import PointLight
 from .attribute import has_ambient
-from .groups import AMBIENT_GROUP, VOLUME_GROUP, ambient_group, volume_group
+from .groups import (
+    AMBIENT_GROUP,
+    BEAM_GROUP,
+    VOLUME_GROUP,
+    ambient_group,
+    beam_group,
+    volume_group,
+)
 from .ours import TAG, find_ours, give_back, is_ours, override
+from .volume import direct_grid
 
 MODES = {"REPLACE": True, "ADD": False}  # the value of the group's socket "Replace"
 
@@ -58,20 +68,28 @@ def show_source(ob):
     give_back(ob)
 
 
-def shade_volume(ob, mode, sigma_s, sigma_a, strength=1.0):
+def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), strength=1.0):
     """Give the baked Volume object `ob` the material that shows its light.
 
     mode              "REPLACE" or "ADD"
     sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, scalar or (3,)
+    g                 mean cosine of the scattering angle, scalar or (3,)
+    beams             the `Sun` and `PointLight` of each grid `direct_grid(1)`, `direct_grid(2)` ...
     strength          factor on the light, dimensionless
     """
     material = _volume_material(ob.data)
     nodes = material.node_tree.nodes
+    for node in [node for node in nodes if is_ours(node)]:
+        nodes.remove(node)
     inputs = next(node for node in nodes if node.type == "GROUP").inputs
     inputs["Strength"].default_value = strength
     inputs["Sigma S"].default_value = _triple(sigma_s)
     inputs["Sigma A"].default_value = _triple(sigma_a)
+    inputs["G"].default_value = _triple(g)
     inputs["Replace"].default_value = MODES[mode]
+    target = inputs["Direct"]
+    for number, beam in enumerate(beams, 1):
+        target = _insert_beam(material.node_tree, target, number, beam, _triple(g))
 
 
 def wire_ambient(material, strength=1.0):
@@ -79,9 +97,9 @@ def wire_ambient(material, strength=1.0):
 
     strength  factor on the light, dimensionless
 
-    Each diffuse closure emits its own colour, and its own alpha, times the light; closures
-    that do not scatter diffusely stay as they are. Raises OutputError for a material that
-    cannot be edited.
+    Each diffuse closure emits its own colour, and its own alpha, times the light of the side that
+    is seen, or of the other where it is translucent; others stay as they are. Raises OutputError
+    for a material that cannot be edited.
     """
     _refuse_linked(material)
     unwire_ambient(material)
@@ -183,7 +201,7 @@ def _active_outputs(tree):
 
 
 def _ambient_nodes(material):
-    return [node for node in material.node_tree.nodes if is_ours(node)]
+    return [node for node in material.node_tree.nodes if node.get(TAG) == AMBIENT_GROUP]
 
 
 def _source(socket):
@@ -227,6 +245,7 @@ def _insert_ambient(tree, closure, targets, strength):
     node.inputs["Strength"].default_value = strength
     for name, source in AMBIENT_INPUTS[shader.type].items():
         _imitate(tree, node.inputs[name], shader.inputs[source])
+    node.inputs["Through"].default_value = shader.type == "BSDF_TRANSLUCENT"
     tree.links.new(closure, node.inputs["Shader"])
     for target in targets:
         tree.links.new(node.outputs["Shader"], target)
@@ -269,6 +288,37 @@ def _volume_material(volume):
     material.node_tree.links.new(light.outputs["Volume"], output.inputs["Volume"])
     volume.materials.append(material)
     return material
+
+
+def _insert_beam(tree, target, number, beam, g):
+    """Add light number `number`, from 1, to the socket `target`; the socket for the next one."""
+    x, y = -250 * number, -300
+
+    def new(kind, down):
+        node = tree.nodes.new(kind)
+        node.location = x - 250, y - down
+        node[TAG] = BEAM_GROUP
+        return node
+
+    node = new("ShaderNodeGroup", 0)
+    node.location.x = x
+    node.node_tree = beam_group()
+    node.label = direct_grid(number)
+    node.inputs["G"].default_value = g
+    grid = new("ShaderNodeAttribute", 0)
+    grid.attribute_name = direct_grid(number)
+    tree.links.new(grid.outputs["Vector"], node.inputs["Light"])
+    if isinstance(beam, PointLight):
+        away = new("ShaderNodeVectorMath", 200)
+        away.operation = "SUBTRACT"
+        place = new("ShaderNodeNewGeometry", 400)
+        tree.links.new(place.outputs["Position"], away.inputs[0])
+        away.inputs[1].default_value = beam.position
+        tree.links.new(away.outputs["Vector"], node.inputs["Direction"])
+    else:
+        node.inputs["Direction"].default_value = beam.direction
+    tree.links.new(node.outputs["Radiance"], target)
+    return node.inputs["Others"]
 
 
 def _new_material(name, tag):

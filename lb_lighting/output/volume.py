@@ -10,9 +10,11 @@ import bpy
 import numpy as np
 
 from ..errors import OutputError
+from ..transport.lights import PointLight, Sun
 from .ours import TAG, is_ours
 
 LIGHT_GRID = "lb_light"
+FLUX_GRID = "lb_flux"
 DENSITY_GRID = "density"
 CREATOR = "LB Lighting"
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
@@ -20,15 +22,56 @@ STAMP = "lb_lighting:"  # keeps our metadata apart from OpenVDB's own keys (name
 
 # Cubic interpolation, the widest that Cycles has, reads two voxels away.
 MARGIN = 2
+_SPHERE = np.float32(4 * np.pi)  # sr
 
 
-def write_vdb(path, domain, density, light, metadata):
-    """Write the grids `lb_light` and `density` to `path`, whole or not at all.
+def volume_light(field, lights, mode):
+    """What a baked volume shows of the light in the `Field` of `lights`: (light, others, beams).
 
-    domain    the `Domain` of both
+    light   (bands, nx, ny, nz) W/(m^2 sr), mean radiance of what comes from many directions
+    others  {name of a grid: (1 or 3, nx, ny, nz)}: lb_flux is the net flux of that light over its
+            fluence, from 0 to 1, all bands together; lb_direct_1 ... the mean radiance, W/(m^2 sr),
+            of the unscattered light that comes from one direction
+    beams   the Sun or PointLight of each lb_direct
+
+    Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
+    Of the paper's field all is shown as if it came evenly from all sides.
+    """
+    fluence, beams = field.fluence, []
+    if field.by_light is None:
+        return (fluence + field.direct) / _SPHERE, {}, []
+    if mode == "REPLACE":
+        of_beam = [isinstance(light, Sun | PointLight) for light in lights]
+        beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
+        unscattered = field.by_light[of_beam]
+        # Rounding leaves less than nothing where beams are all there is.
+        fluence = fluence + np.maximum(field.direct - unscattered.sum(axis=0), 0)
+    others = {FLUX_GRID: _drift(fluence, field.flux)}
+    for number in range(1, len(beams) + 1):
+        others[direct_grid(number)] = unscattered[number - 1] / _SPHERE
+    return fluence / _SPHERE, others, beams
+
+
+def _drift(fluence, flux):
+    """(3, nx, ny, nz), at most 1 long: the flux (bands, 3, nx, ny, nz) over the fluence."""
+    total = fluence.sum(axis=0)
+    drift = np.divide(flux.sum(axis=0), total, out=np.zeros_like(flux[0]), where=total > 0)
+    return drift / np.maximum(np.linalg.norm(drift, axis=0), 1)
+
+
+def direct_grid(number):
+    """The name of the grid of the unscattered light of beam `number`, from 1."""
+    return f"lb_direct_{number}"
+
+
+def write_vdb(path, domain, density, light, metadata, others=None):
+    """Write the grids `density`, `lb_light` and others to `path`, whole or not at all.
+
+    domain    the `Domain` of all
     density   (nx, ny, nz), dimensionless
     light     (1 or 3, nx, ny, nz) mean radiance, W/(m^2 sr)
     metadata  {name: str, int or float}, the settings that made it, stamped on file and grids
+    others    {name: (1 or 3, nx, ny, nz)}, see `volume_light`
 
     Light is kept within two voxels of any density, continued outwards at the domain's
     faces, so that interpolation does not darken the border of a cloud.
@@ -40,7 +83,8 @@ def write_vdb(path, domain, density, light, metadata):
         raise OutputError(f"{path} was not written by LB Lighting; choose another file name.")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        _write_checked(temporary, _grids(domain, density, light), metadata)
+        grids = _grids(domain, density, {LIGHT_GRID: light} | (others or {}))
+        _write_checked(temporary, grids, metadata)
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(
@@ -186,25 +230,31 @@ def _openvdb():
     return openvdb
 
 
-def _grids(domain, density, light):
-    """`lb_light` and `density` as OpenVDB grids, sparse where there is nothing to light."""
+def _grids(domain, density, colors):
+    """All that `write_vdb` writes as OpenVDB grids, sparse where there is nothing to light."""
+    near = _near(np.asarray(density) > 0, MARGIN)
+    grids = [_grid(DENSITY_GRID, domain, np.asarray(density, np.float32), 0)]
+    grids[0].gridClass = _openvdb().GridClass.FOG_VOLUME
+    for name, values in colors.items():
+        values = np.pad(values, [(0, 0)] + [(MARGIN, MARGIN)] * 3, mode="edge")
+        values = np.moveaxis(np.where(near, values, 0), 0, -1)
+        values = np.broadcast_to(values, (*values.shape[:3], 3))
+        grids.append(_grid(name, domain, values, MARGIN))
+    return grids
+
+
+def _grid(name, domain, values, margin):
+    """An OpenVDB grid of `values` that begin `margin` voxels outside of the domain.
+
+    values  (nx, ny, nz) or (nx, ny, nz, 3)
+    """
     openvdb = _openvdb()
+    grid = openvdb.FloatGrid() if values.ndim == 3 else openvdb.Vec3SGrid()
+    grid.copyFromArray(np.ascontiguousarray(values, np.float32), ijk=(-margin,) * 3)
+    grid.name = name
     # As ours, OpenVDB's voxel centres are at integers; its matrices multiply from the right.
-    transform = openvdb.createLinearTransform(domain.index_to_world.T.tolist())
-
-    density = np.asarray(density, np.float32)
-    light = np.pad(light, [(0, 0)] + [(MARGIN, MARGIN)] * 3, mode="edge")
-    light = np.where(_near(density > 0, MARGIN), light, 0)
-    colors = np.broadcast_to(np.moveaxis(light, 0, -1), (*light.shape[1:], 3))
-
-    light_grid, density_grid = openvdb.Vec3SGrid(), openvdb.FloatGrid()
-    light_grid.copyFromArray(np.ascontiguousarray(colors, np.float32), ijk=(-MARGIN,) * 3)
-    density_grid.copyFromArray(np.ascontiguousarray(density))
-    light_grid.name, density_grid.name = LIGHT_GRID, DENSITY_GRID
-    for grid in (light_grid, density_grid):
-        grid.transform = transform
-    density_grid.gridClass = openvdb.GridClass.FOG_VOLUME
-    return [light_grid, density_grid]
+    grid.transform = openvdb.createLinearTransform(domain.index_to_world.T.tolist())
+    return grid
 
 
 def _near(mask, margin):

@@ -2,11 +2,13 @@
 """What a selected object is to the light: a volume, smoke, foliage, a solid or an occluder."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..errors import SceneError
+from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
 from .materials import (
@@ -20,16 +22,22 @@ from .materials import (
 )
 
 FROM_MATERIAL = "MATERIAL"
+COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
 
 
 @dataclass(frozen=True)
 class Share:
-    """What one material adds to the medium: density (nx, ny, nz) times `Optics`."""
+    """What one material adds to the medium: density (nx, ny, nz) times `Optics`.
+
+    toward  where the density is a mean over directions: the function that takes the unit vector
+            (3,) along which light travels, and returns the density that this light meets
+    """
 
     density: np.ndarray
     optics: Optics
+    toward: Callable | None = None
 
     @property
     def sigma_t(self):
@@ -87,6 +95,18 @@ class Reader:
             )
         return mixed
 
+    def occluder_color(self, ob, parts):
+        """(3,), the share of light that the parts of `ob` throw back, on average by their area.
+
+        0 for materials that cannot be read, with a note: they stop light all the same.
+        """
+        try:
+            colors = [leaf_optics(part.material).reflectance for part in parts]
+        except SceneError as error:
+            self.notes.append(f"'{ob.name}' throws no light back. {error}")
+            return np.zeros(3)
+        return np.average(colors, axis=0, weights=[part.area for part in parts])
+
     def preset(self, fallback, length):
         """The chosen preset (or `fallback`), scaled to `optical_depth` over `length` metres."""
         preset = PRESETS[fallback if self.medium == FROM_MATERIAL else self.medium]
@@ -140,17 +160,22 @@ class _Source:
 
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
+    is_body      whether that light is what comes out of it, not what falls on it
+    is_wall      whether it stops all light
     """
 
     is_volume = False
     shows_light = False
+    is_body = False
+    is_wall = False
 
     def shares(self, domain):
         """[Share] on the lattice of `domain`."""
         return []
 
     def occlusion(self, domain):
-        """(nx, ny, nz), the share of each voxel's light that is stopped, or None."""
+        """((nx, ny, nz), (3,)): the share of the light that comes to a voxel which is stopped
+        there, and the share of that which goes back; or None."""
         return None
 
 
@@ -232,17 +257,23 @@ class FoliageSource(_SurfaceSource):
         return [self._share(part, domain) for part in self.parts if len(part.triangles)]
 
     def _share(self, part, domain):
-        density = voxelize.foliage_density(part.triangles, domain)
-        if self.reader.medium != FROM_MATERIAL:
-            return Share(density, _scaled(PRESETS[self.reader.medium], 1.0))
-        leaf = leaf_optics(part.material)
-        return Share(density * leaf.coverage, leaf.optics)
+        if self.reader.medium == FROM_MATERIAL:
+            leaf = leaf_optics(part.material)
+            coverage, optics = leaf.coverage, leaf.optics
+        else:
+            coverage, optics = 1.0, _scaled(PRESETS[self.reader.medium], 1.0)
+
+        def density(direction=None):
+            return voxelize.foliage_density(part, domain, direction) * coverage
+
+        return Share(density(), optics, density)
 
 
 class SolidSource(_SurfaceSource):
     """A closed body of a translucent material."""
 
     preset = "pmma"
+    is_body = True
 
     def __init__(self, ob, parts, reader):
         super().__init__(ob, parts, reader)
@@ -267,10 +298,25 @@ class SolidSource(_SurfaceSource):
 
 
 class OccluderSource(_SurfaceSource):
-    """A closed body that stops all light."""
+    """A body or a wall that stops all light, and throws back the share that its colour says."""
+
+    shows_light = True
+    is_wall = True
+
+    def __init__(self, ob, parts, reader):
+        super().__init__(ob, parts, reader)
+        self.color = reader.occluder_color(ob, parts)
 
     def occlusion(self, domain):
-        return voxelize.solid_fraction(_triangles(self.parts), domain)
+        triangles = _triangles(self.parts)
+        if voxelize.longest_edge(triangles) > COARSEST * domain.voxel_size:
+            self.shows_light = False
+            self.reader.notes.append(
+                f"'{self.ob.name}' shows none of the light, for its faces are larger than "
+                f"{COARSEST} voxels; subdivide it to light it."
+            )
+        closed = np.concatenate([part.closed for part in self.parts])
+        return voxelize.opaque_share(triangles, closed, domain), self.color
 
 
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}
@@ -290,9 +336,11 @@ def mixture(shares):
             "There is no density to light here; check the grid, the frame, the region and the "
             "material."
         )
+    density = _total(
+        share.density * unit for share, unit in zip(shares, _units(shares), strict=True)
+    )
     if not np.ptp(_coefficients(shares), axis=1).any():
-        return _total(share.density for share in shares), shares[0].optics
-    density = _total(share.density * share.sigma_t for share in shares)
+        return density, shares[0].optics
     weight = np.array([share.density.sum(dtype=float) * share.sigma_t for share in shares])
     weight /= weight.sum()
     sigma_s, sigma_a, g = _per_extinction(shares)
@@ -303,9 +351,54 @@ def mixture(shares):
     return density, grey(Optics(tuple(scattering), tuple(weight @ sigma_a), tuple(mean_g)))
 
 
+def with_shadows(lights, shares):
+    """`lights`, the suns with their `shadow_density` where one of `shares` has a `toward`."""
+    shares = _present(shares)
+    if not any(share.toward for share in shares):
+        return lights
+    return [
+        replace(light, shadow_density=_shadow_density(shares, light.direction))
+        if isinstance(light, Sun)
+        else light
+        for light in lights
+    ]
+
+
+def _shadow_density(shares, direction):
+    """(nx, ny, nz): the density of `mixture` as light of that direction alone meets it."""
+    direction = np.divide(direction, np.linalg.norm(direction))
+    return _total(
+        (share.toward(direction) if share.toward else share.density) * unit
+        for share, unit in zip(shares, _units(shares), strict=True)
+    )
+
+
+def occluders(occlusions):
+    """(occlusion (nx, ny, nz), albedo (1 or 3,) or (1 or 3, nx, ny, nz)): several as one.
+
+    occlusions  what the sources' `occlusion` returned
+
+    Where several stop light in a voxel, the albedo is their mean by how much each stops.
+    """
+    shares, colors = zip(*occlusions, strict=True)
+    if not np.ptp(colors, axis=0).any():
+        albedo = colors[0]
+    else:
+        total = np.maximum(np.sum(shares, axis=0), np.finfo(np.float32).tiny)
+        albedo = np.clip(np.einsum("kxyz,kb->bxyz", shares, colors) / total, 0, 1)
+    is_grey = not np.ptp(colors, axis=1).any()
+    return np.max(shares, axis=0), albedo[:1] if is_grey else albedo
+
+
 def _present(shares):
     """Those of `shares` that light meets at all."""
     return [share for share in shares if share.sigma_t and share.density.any()]
+
+
+def _units(shares):
+    """What the density of each share is multiplied with in a `mixture`."""
+    alike = not np.ptp(_coefficients(shares), axis=1).any()
+    return [1.0 if alike else share.sigma_t for share in shares]
 
 
 def _total(densities):

@@ -13,11 +13,16 @@ from ..errors import SceneError
 BATCH = 1 << 18  # triangles or samples handled at once: enough for NumPy, little enough memory
 LARGE = 8  # voxels: triangles with longer edges are halved first, to drop what lies outside
 SAMPLES_PER_VOXEL = 3  # along an edge
+SAMPLES_OF_WALLS = 12  # so that no hole is taken for one
 # Level sets in lattices this many times finer than the domain. A hole is closed once a voxel is
 # larger than it, so the coarse ones are for meshes that are not quite tight.
 REFINEMENTS = (2, 1, 1 / 2, 1 / 4)
 FLAT = 1e-6  # volume over extent cubed: what float32 makes of none
 LEAKED = -1e-3  # voxels: a level set that leaks has no distance below zero but rounding
+# Area of a surface's holes over its own, up to which it is closed. A hole is a disc with the open
+# edges around it: so a flat sheet has 1 or more, and a long pipe, which light crosses twice, less.
+OPEN = 0.25
+BEHIND = 1e-4  # voxels: how far behind its front a sheet is put, where two voxels could have it
 
 
 @dataclass(frozen=True)
@@ -25,15 +30,22 @@ class Part:
     """Triangles of one material that an object brings into the scene.
 
     triangles  (n, 3, 3) m, float64, world space: triangle, corner, coordinate
+    closed     (n,) bool, whether the triangle is of a surface with small holes at most
     material   bpy.types.Material or None
     object     the original object that they come from, or that instances them
     instanced  whether it instances them
     """
 
     triangles: np.ndarray
+    closed: np.ndarray
     material: bpy.types.Material | None
     object: bpy.types.Object
     instanced: bool
+
+    @property
+    def area(self):
+        """m^2, of one side."""
+        return area_of(self.triangles)
 
 
 def world_parts(depsgraph, objects):
@@ -58,11 +70,15 @@ def world_parts(depsgraph, objects):
         matrices[key].append([tuple(row) for row in instance.matrix_world])
     return [
         Part(
-            _placed(triangles, np.array(matrices[key]), source), materials[slot], source, instanced
+            _placed(triangles, np.array(matrices[key]), source),
+            np.tile(closed, len(matrices[key])),
+            materials[slot],
+            source,
+            instanced,
         )
         for key, slots in meshes.items()
         for source, _mesh, materials, instanced in [key]
-        for slot, triangles in slots
+        for slot, triangles, closed in slots
     ]
 
 
@@ -77,35 +93,78 @@ def world_bounds(parts):
     )
 
 
-def surface_area(triangles, domain):
+def area_of(triangles):
+    """m^2, of one side of triangles (n, 3, 3)."""
+    return _areas(triangles).sum()
+
+
+def longest_edge(triangles):
+    """m, of triangles (n, 3, 3)."""
+    return np.linalg.norm(_edges(triangles), axis=-1).max()
+
+
+def surface_area(triangles, domain, weight=None, samples=SAMPLES_PER_VOXEL):
     """(nx, ny, nz) m^2, float64: the area of the surface (both sides counted once) in each voxel.
 
     triangles  (n, 3, 3) m, world space
+    weight     (n,), factor on the area of each triangle, or None for 1
+    samples    along an edge as long as a voxel
     Each triangle is sampled at the centres of equal parts that are small beside a voxel. What lies
     outside of the domain is dropped.
     """
     corners = domain.to_index(triangles) + 0.5  # voxel (i, j, k) spans i..i+1
+    weight = np.ones(len(corners)) if weight is None else weight
     area = np.zeros(np.prod(domain.shape))
-    pending = _batches(corners, BATCH)
+    pending = _batches(BATCH, corners, weight)
     while pending:
-        batch = pending.pop()
-        batch = batch[_touches(batch, domain.shape)]
+        batch, factor = pending.pop()
+        near = _touches(batch, domain.shape)
+        batch, factor = batch[near], factor[near]
         longest = np.linalg.norm(_edges(batch), axis=-1).max(axis=1, initial=0)
         large = longest > LARGE
-        pending += _batches(_halves(batch[large]), BATCH)
-        parts = np.ceil(longest * SAMPLES_PER_VOXEL).astype(int)
+        pending += _batches(BATCH, _halves(batch[large]), np.tile(factor[large], 2))
+        parts = np.ceil(longest * samples).astype(int)
         for n in np.unique(parts[~large]):
-            _add_area(area, batch[parts == n], max(1, n), domain.shape)
+            _add_area(area, batch[parts == n], factor[parts == n], max(1, n), domain.shape)
     return area.reshape(domain.shape) * domain.voxel_size**2
 
 
-def foliage_density(triangles, domain):
-    """(nx, ny, nz) 1/m: the extinction coefficient of opaque leaves turned every way.
+def foliage_density(part, domain, direction=None):
+    """(nx, ny, nz) 1/m: the extinction coefficient of opaque leaves.
 
-    A leaf of area A shows A/2 on average over its orientations, so this is half the area per
-    volume (Ross, The Radiation Regime and Architecture of Plant Stands, 1981).
+    part       a `Part`
+    direction  (3,), unit vector along which the light travels, or None for the mean over all
+
+    A leaf of area A and normal n shows A |n . direction|, which is A/2 on average over its
+    orientations (Ross, The Radiation Regime and Architecture of Plant Stands, 1981). A closed body,
+    such as wood, shows half of that, because light meets two of its faces where it could meet one.
     """
-    return surface_area(triangles, domain) / (2 * domain.voxel_size**3)
+    shown = 0.5 if direction is None else np.abs(_normals(part.triangles) @ direction)
+    weight = shown * np.where(part.closed, 0.5, 1.0)
+    return surface_area(part.triangles, domain, weight) / domain.voxel_size**3
+
+
+def opaque_share(triangles, closed, domain):
+    """(nx, ny, nz), 0 to 1: the share of the light that comes to a voxel which the surface stops.
+
+    triangles  (n, 3, 3) m, world space
+    closed     (n,) bool, see `Part`
+
+    Inside of closed bodies it is 1. Where one is thinner than a voxel, a surface S shows S/4 on
+    average of the 6 h^2/4 that the voxel shows. An open sheet shows its whole area to light that
+    faces it; so a wall across a voxel stops all, and the voxel is that behind the wall's front
+    where it lies between two.
+    """
+    body = triangles[closed]
+    solid = _inside(body, domain)
+    claimed = _enclosed_volume(body) if _lies_in(body, domain) else 0.0
+    if solid.sum() * domain.voxel_size**3 < claimed / 2:
+        # Either it is thinner than a voxel, or its holes let the inside out: then it is walls.
+        closed = closed & (4 * claimed / area_of(body) < domain.voxel_size)  # the width of a rod
+        solid = 0.0
+    behind = triangles - BEHIND * domain.voxel_size * _normals(triangles)[:, None]
+    shown = surface_area(behind, domain, np.where(closed, 1 / 6, 1.0), SAMPLES_OF_WALLS)
+    return np.maximum(solid, np.minimum(shown / domain.voxel_size**2, 1)).astype(np.float32)
 
 
 def solid_fraction(triangles, domain):
@@ -115,21 +174,28 @@ def solid_fraction(triangles, domain):
                voxels are closed
     Raises SceneError where the surface encloses nothing.
     """
-    if not np.any(_touches(domain.to_index(triangles) + 0.5, domain.shape)):
-        return np.zeros(domain.shape, np.float32)
-    inside_domain = np.all(triangles >= domain.origin) and np.all(triangles <= domain.upper)
-    # Reaching only half of the volume that the faces claim means that a part has leaked.
-    least = _enclosed_volume(triangles) / 2 if inside_domain else 0
-    for refinement in REFINEMENTS:
-        fraction, closed = _level_set_fraction(triangles, domain, refinement)
-        if closed and fraction.sum() * domain.voxel_size**3 >= least:
-            return fraction
+    fraction = _enclosed_fraction(triangles, domain)
+    if fraction is not None:
+        return fraction
     if _enclosed_volume(triangles) <= FLAT * np.ptp(triangles, axis=(0, 1)).max() ** 3:
         raise SceneError("The mesh is flat; give it a thickness, or light it as foliage instead.")
     raise SceneError(
         "The mesh is not closed, or it is thinner than a voxel; fill its holes, raise the "
         "resolution, or light it as foliage instead."
     )
+
+
+def _enclosed_fraction(triangles, domain):
+    """What `solid_fraction` returns, or None where the surface encloses nothing."""
+    if not np.any(_touches(domain.to_index(triangles) + 0.5, domain.shape)):
+        return np.zeros(domain.shape, np.float32)
+    # Reaching only half of the volume that the faces claim means that a part has leaked.
+    least = _enclosed_volume(triangles) / 2 if _lies_in(triangles, domain) else 0
+    for refinement in REFINEMENTS:
+        fraction, closed = _level_set_fraction(triangles, domain, refinement)
+        if closed and fraction.sum() * domain.voxel_size**3 >= least:
+            return fraction
+    return None
 
 
 def _materials(ob):
@@ -140,13 +206,44 @@ def _materials(ob):
 
 
 def _triangles_by_slot(mesh, slots):
-    """[(slot, (n, 3, 3) m in object space)] for every material slot that has faces."""
+    """[(slot, (n, 3, 3) m in object space, closed (n,))] for every slot that has faces."""
     mesh.calc_loop_triangles()
-    points = _read(mesh.vertices, "co", np.float32, 3)
+    points = _read(mesh.vertices, "co", np.float32, 3).astype(float)
     corners = _read(mesh.loop_triangles, "vertices", np.int32, 3)
+    closed = _closed(points, corners)
     # Faces that name a slot which is not there are drawn with the last one.
     slot = np.minimum(_read(mesh.loop_triangles, "material_index", np.int32, 1)[:, 0], slots - 1)
-    return [(int(i), points[corners[slot == i]].astype(float)) for i in np.unique(slot)]
+    return [(int(i), points[corners[slot == i]], closed[slot == i]) for i in np.unique(slot)]
+
+
+def _closed(points, corners):
+    """(n,) bool: what `Part` calls closed, of triangles between points (vertices, 3) m.
+
+    corners  (n, 3), the vertices of each triangle
+    """
+    low, high = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).T
+    edges, uses = np.unique(low.astype(np.int64) * len(points) + high, return_counts=True)
+    # An edge between two triangles is used twice.
+    rims = np.stack(np.divmod(edges[uses == 1], len(points)), axis=1)
+    piece, rim = _pieces(corners, len(points)), _pieces(rims, len(points))
+    length = np.linalg.norm(points[rims[:, 0]] - points[rims[:, 1]], axis=1)
+    around = np.bincount(rim[rims[:, 0]], length, len(points))
+    holes = np.bincount(piece, around**2 / (4 * np.pi), len(points))
+    area = np.bincount(piece[corners[:, 0]], _areas(points[corners]), len(points))
+    return (holes < OPEN * area)[piece[corners[:, 0]]]
+
+
+def _pieces(corners, count):
+    """(count,): for each vertex the least one that `corners` (n, 2 or 3) connect it to."""
+    piece = np.arange(count)
+    while True:
+        least = piece[corners].min(axis=1, keepdims=True)
+        joined = piece.copy()
+        np.minimum.at(joined, piece[corners], least)
+        joined = joined[joined]
+        if np.array_equal(joined, piece):
+            return piece
+        piece = joined
 
 
 def _read(collection, attribute, dtype, width):
@@ -164,8 +261,9 @@ def _placed(triangles, matrices, ob):
     return placed
 
 
-def _batches(triangles, size):
-    return [triangles[i : i + size] for i in range(0, len(triangles), size)]
+def _batches(size, *arrays):
+    """[(some of each of the `arrays`)]: as many rows as `size` at once."""
+    return [tuple(a[i : i + size] for a in arrays) for i in range(0, len(arrays[0]), size)]
 
 
 def _touches(triangles, shape):
@@ -179,6 +277,20 @@ def _edges(triangles):
     return np.roll(triangles, -1, axis=1) - triangles
 
 
+def _areas(triangles):
+    """(n,), in the square of their unit."""
+    edges = _edges(triangles)
+    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1) / 2
+
+
+def _normals(triangles):
+    """(n, 3) unit vectors across the triangles; 0 for those without area."""
+    edges = _edges(triangles)
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
 def _halves(triangles):
     """(2 n, 3, 3): each triangle cut from the middle of its longest edge to the corner opposite."""
     longest = np.linalg.norm(_edges(triangles), axis=-1).argmax(axis=1)
@@ -188,16 +300,15 @@ def _halves(triangles):
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def _add_area(area, triangles, n, shape):
-    """Add the area of triangles, in squared voxels, to the flat lattice `area`.
+def _add_area(area, triangles, weight, n, shape):
+    """Add the area of triangles, in squared voxels, times `weight` to the flat lattice `area`.
 
     n  parts that each edge is divided in; a sample stands for 1/n^2 of the triangle
     """
-    edges = _edges(triangles)
-    share = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1) / (2 * n**2)
+    share = _areas(triangles) * weight / n**2
     weights = _part_centers(n)
     size = max(1, BATCH // len(weights))
-    for some, value in zip(_batches(triangles, size), _batches(share, size), strict=True):
+    for some, value in _batches(size, triangles, share):
         voxel = np.floor(weights @ some).astype(np.int32).reshape(-1, 3)
         value = value.repeat(len(weights))
         inside = np.all((voxel >= 0) & (voxel < shape), axis=-1)
@@ -217,12 +328,33 @@ def _part_centers(n):
 
 def _enclosed_volume(triangles):
     """m^3, by the divergence theorem about the mesh's middle, where small holes matter least."""
+    if not len(triangles):
+        return 0.0
     a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
     return abs(np.einsum("ni,ni->", a, np.cross(b, c))) / 6
 
 
 def _level_set_fraction(triangles, domain, refinement):
     """(fraction by voxel of `domain`, was an inside found) from a level set of another fineness."""
+    cells = _distances(triangles, domain, refinement)
+    closed = bool(cells.min() < LEAKED)
+    # The share of a cell beyond a plane at this distance: exact for planes along the lattice.
+    inside = np.clip(0.5 - cells, 0, 1)
+    return _refitted(inside, refinement, domain.shape), closed
+
+
+def _inside(triangles, domain):
+    """(nx, ny, nz), 0 to 1: of eight points in each voxel, how many the surface encloses.
+
+    It is right on average even for twigs, of which `_level_set_fraction` makes branches.
+    """
+    if not len(triangles) or not np.any(_touches(domain.to_index(triangles) + 0.5, domain.shape)):
+        return np.zeros(domain.shape)
+    return _refitted(_distances(triangles, domain, 2) < LEAKED, 2, domain.shape)
+
+
+def _distances(triangles, domain, refinement):
+    """Signed distances to the surface, in cells, of a lattice so many times finer than `domain`."""
     points = (domain.to_index(triangles) + 0.5) * refinement - 0.5
     distance = openvdb.FloatGrid.createLevelSetFromPolygons(
         points.reshape(-1, 3).astype(np.float32),
@@ -232,10 +364,11 @@ def _level_set_fraction(triangles, domain, refinement):
     )
     cells = np.empty(np.ceil(np.multiply(domain.shape, refinement)).astype(int), np.float32)
     distance.copyToArray(cells)
-    closed = bool(cells.min() < LEAKED)
-    # The share of a cell beyond a plane at this distance: exact for planes along the lattice.
-    inside = np.clip(0.5 - cells, 0, 1)
-    return _refitted(inside, refinement, domain.shape), closed
+    return cells
+
+
+def _lies_in(triangles, domain):
+    return np.all(triangles >= domain.origin) and np.all(triangles <= domain.upper)
 
 
 def _refitted(cells, refinement, shape):

@@ -22,6 +22,10 @@ class Report:
     bytes     memory that the solver allocated, bytes
     runs      bands that were really solved, of traced photons each light apart; the other bands
               are multiples of them
+    converged whether the residual came below the tolerance before the steps ran out
+    energy    {where: W, (bands,) or (bands, 6)}: "entered" is the sum of "absorbed", "left"
+              through the faces -x, +x, -y, +y, -z, +z, and what the kind of report adds to these;
+              empty where a model does not count it
     """
 
     model: str
@@ -31,6 +35,8 @@ class Report:
     seconds: dict = field(default_factory=dict)
     bytes: int = 0
     runs: int = 0
+    converged: bool = True
+    energy: dict = field(default_factory=dict)
 
 
 @dataclass
@@ -40,14 +46,12 @@ class PhotonReport(Report):
     photons     how many were traced
     lost        how many were given up after too many steps
     collisions  (bands,) real ones, of all photons
-    energy      {where: W}: "entered" (bands,) is the sum of "absorbed" (bands,), "left" (bands, 6)
-                through the faces -x, +x, -y, +y, -z, +z, "handed" over and "lost" (bands,)
+    energy      as of a `Report`; the sum has two more, "handed" over and "lost"
     """
 
     photons: int = 0
     lost: int = 0
     collisions: np.ndarray | None = None
-    energy: dict = field(default_factory=dict)
 
 
 class Clock:
@@ -97,6 +101,9 @@ class Field:
     variance  (bands, nx, ny, nz) of the fluence, (W/m^2)^2, where the solver is random, else None
     report    a `Report`, of traced photons a `PhotonReport`
     handed    a `Handed` where photons were handed over, else None
+    by_light  (lights, bands, nx, ny, nz) W/m^2, the unscattered light of each light, in the order
+              in which they were given, without the medium's own emission; None where it is not
+              known apart
     """
 
     domain: Domain
@@ -106,6 +113,7 @@ class Field:
     report: Report
     variance: np.ndarray | None = None
     handed: Handed | None = None
+    by_light: np.ndarray | None = None
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

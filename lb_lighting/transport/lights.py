@@ -16,11 +16,19 @@ where emit returns
 The photons of one call are spread evenly (`_strata`) and so depend on each other: a variance is
 found from several calls. emit raises LightError for fewer photons than 1, and for a light whose
 bands are not the medium's.
+
+A light may have a third,
+
+    rays(medium, band, per_edge)      the same light as rays, spread as regularly as they can be
+
+which returns (the power of the strongest ray in W, an iterator of such triples as emit's): the
+same rays at every call, about per_edge^2 or more of them through each voxel that the light reaches.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
+from math import ceil, gcd
 
 import numpy as np
 
@@ -32,6 +40,12 @@ _SKY_CELLS = (32, 64)  # in height and around: where a sky given as a function i
 _ANYWHERE = 0.1
 # By the axis that x is moved to: where the new x, y and z come from.
 _TURNS = np.array([(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+_GOLDEN = (np.sqrt(5) - 1) / 2
+_PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of x^3 = x + 1
+_RAYS_AT_ONCE = 2**18  # that a light makes
+# Of a sky, by per_edge^2: how many suns stand for it; and the per_edge of each of these.
+_SUNS, _SUN_PER_EDGE = 2.5, 2
+_MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 
 
 @dataclass(frozen=True)
@@ -40,12 +54,19 @@ class Sun:
 
     direction   (3,), the way the light travels; any length but 0
     irradiance  W/m^2 on a surface that faces it, scalar or (bands,)
+    shadow_density  (nx, ny, nz) or None: what stands in for the medium's density where this light
+                has not scattered yet. The density is a mean over directions; leaves that lie flat
+                stop more than that of a sun above them, and less of one at the horizon
     """
 
     direction: tuple
     irradiance: tuple | float
+    shadow_density: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
+        if self.shadow_density is not None:
+            density = np.asarray(self.shadow_density, np.float32)
+            object.__setattr__(self, "shadow_density", density)
         length = np.linalg.norm(self.direction)
         if len(self.direction) != 3 or not np.isfinite(length) or length == 0:
             raise LightError(f"A sun needs a direction of three numbers; it has {self.direction}.")
@@ -64,8 +85,14 @@ class Sun:
         toward = np.divide(self.direction, np.linalg.norm(self.direction))
         directions = np.tile(toward, (count, 1))
         origins = _enter(medium.domain, directions, across, along)
-        shown = np.abs(toward) @ _face_areas(medium.domain)
+        shown = np.abs(toward) @ face_areas(medium.domain)
         return origins, directions, np.full(count, irradiance * shown / count)
+
+    def rays(self, medium, band, per_edge):
+        """per_edge^2 rays or a few more through each lit face of a voxel on the domain's border."""
+        irradiance = by_band(self.irradiance, medium.bands)[[band]]
+        toward = np.divide([self.direction], np.linalg.norm(self.direction))
+        return _beams(medium.domain, toward, irradiance, per_edge)
 
 
 @dataclass(frozen=True)
@@ -105,7 +132,7 @@ class Sky:
             return self._emit_by_brightness(count, medium, rng, band)
         radiance = by_band(self.radiance, medium.bands)[band]
         across, along, tilt, turn = _strata(count, 4, rng)
-        areas = _face_areas(medium.domain)
+        areas = face_areas(medium.domain)
         axis, rest = _pick(_edges(areas), across)
         upper = rest >= 0.5  # half the area across an axis is the face on its lower side
         origins = _on_faces(medium.domain, axis, upper, 2 * rest - upper, along)
@@ -114,25 +141,45 @@ class Sky:
         power = np.pi * radiance * 2 * areas.sum() / count
         return origins, _turned(inwards, axis), np.full(count, power)
 
+    def rays(self, medium, band, per_edge):
+        """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter."""
+        count = ceil(_SUNS * per_edge**2)
+        if callable(self.radiance):
+            across, height = _strata(count, 2, np.random.default_rng(0))
+            towards, irradiance = self._bright(across, height, medium, band)
+        else:
+            towards = _even_directions(np.arange(count), count)
+            radiance = by_band(self.radiance, medium.bands)[band]
+            irradiance = np.full(count, 4 * np.pi * radiance)
+        return _beams(medium.domain, -towards, irradiance / count, _SUN_PER_EDGE)
+
     def _emit_by_brightness(self, count, medium, rng, band):
         """Directions by the power that comes from their cell of the sky, then points of entry."""
+        cell, height, across, along = _strata(count, 4, rng)
+        towards, irradiance = self._bright(cell, height, medium, band)
+        origins = _enter(medium.domain, -towards, across, along)
+        shown = np.abs(towards) @ face_areas(medium.domain)
+        return origins, -towards, irradiance * shown / count
+
+    def _bright(self, across, height, medium, band):
+        """Directions (n, 3) towards a sky that is a function, by the power that comes from their
+        cell of it, and the (n,) W/m^2 for which each would stand alone.
+
+        across and height are the (n,) in [0, 1) that choose them.
+        """
         cells = _cell_centers()
         radiance = _over_directions(self.radiance, cells)
-        shown = np.abs(cells) @ _face_areas(medium.domain)
+        shown = np.abs(cells) @ face_areas(medium.domain)
         glow = _of_band(radiance(cells), medium.bands, band) * shown
         even = 1 / len(cells)
         chance = np.full(len(cells), even)
         if glow.any():
             chance = _ANYWHERE * even + (1 - _ANYWHERE) * glow / glow.sum()
 
-        cell, height, across, along = _strata(count, 4, rng)
-        cell, around = _pick(_edges(chance), cell)
+        cell, around = _pick(_edges(chance), across)
         towards = _in_cells(cell, height, around)
-        origins = _enter(medium.domain, -towards, across, along)
-        shown = np.abs(towards) @ _face_areas(medium.domain)
-        solid_angle = 4 * np.pi * even / chance[cell]  # that a photon stands for, times count
-        power = _of_band(radiance(towards), medium.bands, band) * shown * solid_angle / count
-        return origins, -towards, power
+        solid_angle = 4 * np.pi * even / chance[cell]
+        return towards, _of_band(radiance(towards), medium.bands, band) * solid_angle
 
 
 @dataclass(frozen=True)
@@ -161,16 +208,40 @@ class PointLight:
         around the domain's bounding sphere, and some of these pass the domain."""
         power = by_band(self.power, medium.bands)[band]
         tilt, turn = _strata(count, 2, rng)
-        lower, upper = np.array((medium.domain.origin, medium.domain.upper))
-        axis = (lower + upper) / 2 - self.position
-        distance, radius = np.linalg.norm(axis), np.linalg.norm(upper - lower) / 2
-        spread = 2.0  # 1 - cosine of the cone's half angle
-        if distance > radius:
-            sine_squared = (radius / distance) ** 2
-            spread = sine_squared / (1 + np.sqrt(1 - sine_squared))  # keeps its digits far away
+        axis, spread = self._cone(medium.domain)
         directions = _tilted(spread * tilt, turn) @ _frame(axis)
         origins = np.tile(np.asarray(self.position, float), (count, 1))
         return origins, directions, np.full(count, power * spread / 2 / count)
+
+    def rays(self, medium, band, per_edge):
+        """Rays spread evenly over the cone, or over all directions: per_edge^2 through the face
+        of a voxel in the farthest corner, but _MOST_RAYS at most."""
+        domain = medium.domain
+        axis, spread = self._cone(domain)
+        ends = np.array((domain.origin, domain.upper)) - self.position
+        farthest = np.linalg.norm(np.abs(ends).max(axis=0))
+        wanted = 2 * np.pi * spread * (per_edge * farthest / domain.voxel_size) ** 2
+        count = min(ceil(wanted), _MOST_RAYS)
+        power = by_band(self.power, medium.bands)[band] * spread / 2 / count
+
+        def pieces():
+            for first in range(0, count, _RAYS_AT_ONCE):
+                numbers = np.arange(first, min(first + _RAYS_AT_ONCE, count))
+                directions = _even_directions(numbers, count, spread) @ _frame(axis)
+                origins = np.broadcast_to(np.asarray(self.position, float), directions.shape)
+                yield origins, directions, np.full(len(numbers), power)
+
+        return power, pieces()
+
+    def _cone(self, domain):
+        """((3,) m its axis, 1 - the cosine of its half angle): where the domain is seen."""
+        lower, upper = np.array((domain.origin, domain.upper))
+        axis = (lower + upper) / 2 - self.position
+        distance, radius = np.linalg.norm(axis), np.linalg.norm(upper - lower) / 2
+        if distance <= radius:
+            return axis, 2.0
+        sine_squared = (radius / distance) ** 2
+        return axis, sine_squared / (1 + np.sqrt(1 - sine_squared))  # keeps its digits far away
 
 
 class Emission:
@@ -197,6 +268,11 @@ class Emission:
         h = medium.domain.voxel_size
         power = np.full(count, edges[-1] * h**3 / count)
         return medium.domain.origin + (corner + within) * h, _tilted(2 * tilt, turn), power
+
+    def rays(self, medium, band, per_edge):
+        """Rays that cross the whole medium. They carry nothing yet: instead of a power they have
+        what they gather on a metre of their way, by W/m^3 of emission: m^2."""
+        return Sky(1 / (4 * np.pi)).rays(medium, band, per_edge)
 
 
 def multiple(lights, medium, band, base):
@@ -279,7 +355,7 @@ def _pick(edges, u):
     return picked, np.minimum(rest, np.nextafter(1, 0))
 
 
-def _face_areas(domain):
+def face_areas(domain):
     """(3,) m^2: the area of the faces across each axis."""
     extent = np.multiply(domain.shape, domain.voxel_size)
     return extent.prod() / extent
@@ -290,7 +366,7 @@ def _enter(domain, directions, across, along):
 
     across and along are the (count,) in [0, 1) that choose the place.
     """
-    areas = np.abs(directions) * _face_areas(domain)
+    areas = np.abs(directions) * face_areas(domain)
     ends = np.cumsum(areas, axis=1)
     target = across * ends[:, 2]
     axis = (target >= ends[:, 0]).astype(int) + (target >= ends[:, 1])
@@ -327,6 +403,64 @@ def _frame(axis):
     second = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
     second /= np.linalg.norm(second)
     return np.stack((first, second, np.cross(first, second)))
+
+
+def _even_directions(numbers, count, spread=2.0):
+    """(n, 3) unit vectors: those `numbers` (n,) of `count` that are spread evenly over the cone
+    around the x axis whose half angle's cosine is 1 - spread. Fibonacci's lattice.
+    """
+    return _tilted(spread * (numbers + 0.5) / count, numbers * _GOLDEN % 1)
+
+
+def _beams(domain, directions, irradiances, per_edge):
+    """Parallel light of several directions (n, 3) and irradiances (n,), as `rays` returns it.
+
+    In the face of a voxel the rays are a lattice of rank 1, whose coordinates are all different,
+    and the same in each voxel: each column of voxels gets the same light. It is shifted from
+    beam to beam, so that the errors of many beams differ.
+    """
+    lattice = _rank_1(per_edge**2)
+    area = domain.voxel_size**2 / lattice.shape[1]
+    largest = float((irradiances * np.abs(directions).max(axis=1)).max()) * area
+
+    def pieces():
+        for beam, (direction, irradiance) in enumerate(zip(directions, irradiances, strict=True)):
+            shift = beam * np.array(_PLASTIC)[:, None]
+            within = (lattice + shift) % 1
+            for axis in np.flatnonzero(direction):
+                for origins in _through_face(domain, axis, direction[axis] < 0, within):
+                    power = irradiance * abs(direction[axis]) * area
+                    along = np.broadcast_to(direction, origins.shape)
+                    yield origins, along, np.full(len(origins), power)
+
+    return largest, pieces()
+
+
+def _through_face(domain, axis, upper, within):
+    """Points (n, 3) m, in pieces: those `within` (2, count) each voxel of a face of the domain."""
+    across, along = (axis + 1) % 3, (axis + 2) % 3
+    columns, count = domain.shape[along], within.shape[1]
+    rows_at_once = max(1, _RAYS_AT_ONCE // (columns * count))
+    for first in range(0, domain.shape[across], rows_at_once):
+        rows = np.arange(first, min(first + rows_at_once, domain.shape[across]))
+        points = np.empty((len(rows), columns, count, 3))
+        points[..., axis] = domain.shape[axis] if upper else 0
+        points[..., across] = rows[:, None, None] + within[0]
+        points[..., along] = np.arange(columns)[:, None] + within[1]
+        yield points.reshape(-1, 3) * domain.voxel_size + domain.origin
+
+
+def _rank_1(least):
+    """(2, n): a lattice of `least` points or a few more, spread evenly over the unit square.
+
+    Coordinates, and their sums and differences, are different for all points, so that neither
+    edges nor diagonals of voxels run along its rows; that takes an n without the factors 2 and 3.
+    """
+    count = next(n for n in range(least, least + 6) if gcd(n, 6) == 1)
+    fit = (n for n in range(1, count + 1) if gcd((n - 1) * n * (n + 1), count) == 1 or count == 1)
+    factor = min(fit, key=lambda n: abs(n - count * _GOLDEN))
+    number = np.arange(count)
+    return (np.stack((number, number * factor % count)) + 0.5) / count
 
 
 def _in_cells(cell, height, around):

@@ -107,8 +107,13 @@ class Medium:
     g           mean cosine of the Henyey-Greenstein phase function, scalar or (bands,)
     origin      (3,) m, outer corner of voxel (0, 0, 0)
     emission    (nx, ny, nz) or (bands, nx, ny, nz), W/m^3 radiated isotropically, or None
-    occlusion   (nx, ny, nz) or None, the share (0 to 1) of each voxel's light that opaque
-                matter stops, whatever the density
+    occlusion   (nx, ny, nz) or None, the share (0 to 1) of the light arriving at a voxel that
+                opaque matter in it stops, whatever the density
+    occlusion_albedo  the share (0 to 1) of that which goes back, diffusely, from where it came;
+                scalar, (bands,) or (bands, nx, ny, nz)
+    shift       (bands, bands) or None: entry [i, j] is the share of the energy absorbed in band j
+                that the medium radiates again in band i, isotropically (fluorescence); no column
+                may sum to more than 1
 
     Attributes are the same, with sigma_s, sigma_a and g as (bands,) float64 arrays.
     Raises MediumError, naming what and where, for anything that is not physical;
@@ -125,6 +130,8 @@ class Medium:
         origin=(0, 0, 0),
         emission=None,
         occlusion=None,
+        occlusion_albedo=0.0,
+        shift=None,
     ):
         self.density = _grid(density, "density")
         self.voxel_size = float(voxel_size)
@@ -139,6 +146,25 @@ class Medium:
         self.sigma_s, self.sigma_a, self.g = optics_by_band(sigma_s, sigma_a, g)
         self.emission = None if emission is None else self._emission(emission)
         self.occlusion = None if occlusion is None else self._occlusion(occlusion)
+        self.occlusion_albedo = self._occlusion_albedo(occlusion_albedo)
+        self.shift = None if shift is None else self._shift(shift)
+
+    def altered(self, **changes):
+        """The same medium, with other values for the arguments named."""
+        names = ("density", "voxel_size", "sigma_s", "sigma_a", "g", "origin", "emission")
+        names += ("occlusion", "occlusion_albedo", "shift")
+        return Medium(**{name: getattr(self, name) for name in names} | changes)
+
+    def divided(self, pieces):
+        """The same medium, each voxel divided in `pieces` along every edge."""
+        grids = ("density", "emission", "occlusion", "occlusion_albedo")
+        changes = {name: repeated(getattr(self, name), pieces) for name in grids}
+        return self.altered(voxel_size=self.voxel_size / pieces, **changes)
+
+    def alike(self, band, other):
+        """Whether light of two bands meets the same, but for the medium's emission."""
+        values = (self.sigma_s, self.sigma_a, self.g, self.occlusion_albedo)
+        return all(np.array_equal(v[band], v[other]) for v in values)
 
     @property
     def bands(self):
@@ -184,6 +210,38 @@ class Medium:
         if occlusion.max() > 1:
             raise MediumError(f"The occlusion must be at most 1; it reaches {occlusion.max():g}.")
         return occlusion
+
+    def _occlusion_albedo(self, albedo):
+        """(bands,) or (bands, nx, ny, nz) float32."""
+        albedo = _float32(albedo)
+        if albedo.size == 1:
+            albedo = np.full(self.bands, albedo.item(), np.float32)
+        if albedo.shape not in ((self.bands,), (self.bands, *self.shape)):
+            raise MediumError(
+                f"The occlusion's albedo has shape {albedo.shape}; it must be one number, one for "
+                f"each band, or {(self.bands, *self.shape)}."
+            )
+        if not np.all((albedo >= 0) & (albedo <= 1)):
+            raise MediumError("The occlusion's albedo must lie between 0 and 1 everywhere.")
+        return albedo
+
+    def _shift(self, shift):
+        shift = np.asarray(shift, float)
+        if shift.shape != (self.bands, self.bands):
+            raise MediumError(
+                f"The shift between bands has shape {shift.shape}; it must be "
+                f"{(self.bands, self.bands)}."
+            )
+        if not (np.all(shift >= 0) and np.all(shift.sum(axis=0) <= 1 + 1e-9)):
+            raise MediumError(
+                "The shift between bands must not be negative, and no column may sum to more "
+                "than 1: no band gives away more than it absorbs."
+            )
+        if shift.diagonal().any():
+            raise MediumError(
+                "The shift gives energy from a band to itself; make that part of sigma_s."
+            )
+        return shift
 
 
 def _grid(values, name):
@@ -239,6 +297,14 @@ def optics_by_band(sigma_s, sigma_a, g):
     return tuple(np.broadcast_to(v, bands).copy() for v in named.values())
 
 
+def repeated(grid, times):
+    """A grid (..., nx, ny, nz) with each voxel repeated along every edge; others as they are."""
+    if np.ndim(grid) >= 3:
+        for axis in (-3, -2, -1):
+            grid = grid.repeat(times, axis=axis)
+    return grid
+
+
 def paper_units(medium):
     """The same medium as the paper's lattice reads it: probabilities instead of 1/m.
 
@@ -250,13 +316,8 @@ def paper_units(medium):
     largest = float(medium.sigma_t.max())
     if largest == 0:
         return medium
-    return Medium(
-        -np.expm1(-largest * medium.voxel_size * medium.density.astype(float)),
-        medium.voxel_size,
-        medium.sigma_s / largest,
-        medium.sigma_a / largest,
-        medium.g,
-        medium.origin,
-        medium.emission,
-        medium.occlusion,
+    return medium.altered(
+        density=-np.expm1(-largest * medium.voxel_size * medium.density.astype(float)),
+        sigma_s=medium.sigma_s / largest,
+        sigma_a=medium.sigma_a / largest,
     )

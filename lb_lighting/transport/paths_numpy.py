@@ -27,7 +27,7 @@ from .tallies import (
     kinds,
 )
 
-CROSSED, VIRTUAL, COLLIDED, LEFT = range(4)
+CROSSED, VIRTUAL, COLLIDED, LEFT, STOPPED = range(5)
 
 _SLOWEST = 1e-18
 _TOLERATED = 1.0001
@@ -63,27 +63,33 @@ class NumpyPaths:
             violations += np.count_nonzero(walk.violated)
         return distances, violations
 
-    def start_tallies(self, shape, lower, per_cell, flux, handed):
+    def start_tallies(self, shape, lower, per_cell, wanted, opaque):
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
 
-        flux, handed  whether these are wanted
+        wanted  whether these are: (direct, flux, handed)
+        opaque  (occlusion, its albedo), (nx, ny, nz) float32 each, or None
         """
+        self.opaque = opaque
         voxels = int(np.prod(shape))
         self.tally_shape, self.tally_lower, self.per_cell = shape, lower, per_cell
-        self.tallies = [np.zeros((voxels, n), np.uint64) for n in kinds(flux, handed)]
+        self.tallies = [np.zeros((voxels, n), np.uint64) for n in kinds(*wanted)]
         self.before = np.zeros(voxels, np.uint64)
         self.deviation = np.zeros(voxels)
         self.sums = np.zeros(SUMS, np.int64)
 
-    def trace_photons(self, photons, first, per_depth, seed, most_steps, optics, spacing, last):
+    def trace_photons(
+        self, photons, copies, first, per_depth, seed, most_steps, optics, spacing, last
+    ):
         """Trace photons into the tallies.
 
         photons  (7, n) float32: as `rays` of free_paths, and weights from 0 to HEAVIEST
-        first    number of the first photon, which chooses its random numbers
+        copies   paths that begin as each photon does
+        first    number of the first path, which chooses its random numbers
         optics   (albedo, mean cosine)
         spacing  fine cells between two points where a path is scored
         last     the collision at which a photon is handed over, or 0
         """
+        photons = np.repeat(photons, copies, axis=1)
         for begin in range(0, photons.shape[1], _AT_ONCE):
             some = photons[:, begin : begin + _AT_ONCE]
             numbers = first + begin + np.arange(some.shape[1])
@@ -111,21 +117,32 @@ class NumpyPaths:
         going = np.arange(len(weight))
         least = weight * 0.1
         collisions = np.zeros(len(weight), int)
+        turned = np.zeros(len(weight), bool)
         score_at = walk.random.next(going) * spacing
         walk.start_flights(going)
         for step in range(1, most_steps + 1):
             if not len(going):
                 break
             event = walk.advance(going)
+            if self.opaque is not None:
+                ends = np.isin(event, (COLLIDED, LEFT)) | (step == most_steps)
+                stopped = walk.stop(going[ends], self.opaque[0])
+                event[stopped[going]] = STOPPED
             left = going[event == LEFT]
-            hit = going[(event == COLLIDED) & (step < most_steps)]  # the others are lost
-            flown = np.concatenate([hit, left])
-            self._score(walk, flown, weight, collisions, score_at, spacing)
+            hit, stopped = (  # of the last step, these are lost
+                going[(event == kind) & (step < most_steps)] for kind in (COLLIDED, STOPPED)
+            )
+            turning = np.concatenate([hit, stopped])
+            self._score(walk, np.concatenate([turning, left]), weight, turned, score_at, spacing)
 
+            turned[turning] = True
             collisions[hit] += 1
-            kept = weight[hit] * albedo
-            self.sums[ABSORBED] += (_units(weight[hit]) - _units(kept)).sum()
-            weight[hit] = kept
+            kept = weight[turning] * albedo
+            if len(stopped):
+                by = walk.stopped_by[stopped]
+                kept[len(hit) :] = weight[stopped] * self.opaque[1].flat[by]
+            self.sums[ABSORBED] += (_units(weight[turning]) - _units(kept)).sum()
+            weight[turning] = kept
             given = hit[collisions[hit] == last]
             if len(given):
                 self._hand_over(walk, given, weight[given])
@@ -134,15 +151,17 @@ class NumpyPaths:
             for n in range(6):
                 self.sums[LEFT_THROUGH + n] += _units(weight[left[through == n]]).sum()
 
-            light = hit[(collisions[hit] != last) & (weight[hit] < least[hit])]
+            light = np.setdiff1d(turning[weight[turning] < least[turning]], given)
             dead = light[self._roulette(walk, light, weight)]
             ended = np.concatenate([given, left, dead])
             self.sums[COLLISIONS] += collisions[ended].sum()
-            alive = np.setdiff1d(hit, ended, assume_unique=True)
+            hit, stopped = (np.setdiff1d(rays, ended, True) for rays in (hit, stopped))
+            alive = np.concatenate([hit, stopped])
             score_at[alive] -= walk.t[alive]
-            walk.scatter(alive, mean_cosine)
+            walk.scatter(hit, mean_cosine)
+            walk.reflect(stopped)
             going = np.setdiff1d(going, ended, assume_unique=True)
-        self._score(walk, going, weight, collisions, score_at, spacing)
+        self._score(walk, going, weight, turned, score_at, spacing)
         self.sums[LOST] += _units(weight[going]).sum()
         self.sums[LOST_PHOTONS] += len(going)
         self.sums[COLLISIONS] += collisions[going].sum()
@@ -162,18 +181,19 @@ class NumpyPaths:
         offset = np.clip(place - index, 0, 1) - 0.5
         return np.ravel_multi_index(index.T, self.tally_shape), offset
 
-    def _score(self, walk, rays, weight, collisions, score_at, spacing):
+    def _score(self, walk, rays, weight, turned, score_at, spacing):
         """Score flights, up to where they have come, at the points that are due."""
         direct, scattered, _ = self.tallies
         while len(rays := rays[score_at[rays] < walk.t[rays]]):
             points = walk.o[rays] + score_at[rays, None] * walk.d[rays]
             voxel, _ = self._voxels(points)
-            straight = collisions[rays] == 0
-            _add(direct, voxel[straight], WEIGHT, weight[rays[straight]])
-            turned = rays[~straight]
-            _add(scattered, voxel[~straight], WEIGHT, weight[turned])
+            straight = ~turned[rays]
+            if direct.shape[1]:
+                _add(direct, voxel[straight], WEIGHT, weight[rays[straight]])
+            others = rays[~straight]
+            _add(scattered, voxel[~straight], WEIGHT, weight[others])
             if scattered.shape[1] > FLUX:
-                _add_vector(scattered, voxel[~straight], FLUX, weight[turned], walk.d[turned])
+                _add_vector(scattered, voxel[~straight], FLUX, weight[others], walk.d[others])
             score_at[rays] += spacing
 
     def _hand_over(self, walk, rays, weight):
@@ -211,6 +231,9 @@ class _Walk:
         self.i, self.crossings = np.zeros((n, 3)), np.zeros((n, 3))
         self.cell = np.clip(self.o.astype(int) // grid.size, 0, self.cells - 1)
         self.violated = np.zeros(n, bool)
+        # Where the flights are among opaque voxels: the kernel's struct Place.
+        self.voxel = np.clip(self.o.astype(int), 0, np.subtract(grid.fine.shape, 1))
+        self.stopped_axis, self.stopped_by = np.zeros((2, n), int)
         self.random = RandomStreams(seed, indices)
 
     def points(self, rays):
@@ -293,6 +316,46 @@ class _Walk:
         )
         self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
         self.d[rays] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        self.start_flights(rays)
+
+    def stop(self, rays, occlusion):
+        """Cut flights at the first face of a voxel that stops them; whether one does."""
+        stopped = np.zeros(len(self.t), bool)
+        while len(rays):
+            forward = self.d[rays] >= 0
+            crossings = (self.voxel[rays] + forward - self.o[rays]) * self.i[rays]
+            axis, next_ = crossings.argmin(axis=1), crossings.min(axis=1)
+            voxel = self.voxel[rays] + np.where(forward, 1, -1) * (axis[:, None] == range(3))
+            inside = ((voxel >= 0) & (voxel < occlusion.shape)).all(axis=1)
+            enters = inside & (next_ < self.t[rays])
+            rays, axis, next_, voxel = (v[enters] for v in (rays, axis, next_, voxel))
+
+            share = occlusion[tuple(voxel.T)]
+            stops = share == 1
+            partly = (share > 0) & (share < 1)
+            stops[partly] = self.random.next(rays[partly]) < share[partly]
+            met = rays[stops]
+            stopped[met] = True
+            self.t[met] = np.maximum(next_[stops], 0)
+            self.stopped_axis[met] = axis[stops]
+            self.stopped_by[met] = np.ravel_multi_index(voxel[stops].T, occlusion.shape)
+            rays = rays[~stops]
+            self.voxel[rays] = voxel[~stops]
+        return stopped
+
+    def reflect(self, rays):
+        """Send stopped flights back, by the cosine about the face's normal (Lambert)."""
+        squared = self.random.next(rays)
+        around = 2 * np.pi * self.random.next(rays)
+        aside = np.sqrt(1 - squared)
+        axis = self.stopped_axis[rays]
+        forward = self.d[rays, axis] >= 0
+        self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
+        self.o[rays, axis] = self.voxel[rays, axis] + forward
+        self.d[rays, axis] = np.where(forward, -1, 1) * np.sqrt(squared)
+        self.d[rays, (axis + 1) % 3] = aside * np.cos(around)
+        self.d[rays, (axis + 2) % 3] = aside * np.sin(around)
+        self.cell[rays] = self.voxel[rays] // self.grid.size
         self.start_flights(rays)
 
     def face(self, rays):

@@ -46,25 +46,32 @@ class OpenclPaths:
         cl.enqueue_copy(self.queue, violations, flaws)
         return distances, int(violations.sum())
 
-    def start_tallies(self, shape, lower, per_cell, flux, handed):
+    def start_tallies(self, shape, lower, per_cell, wanted, opaque):
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
 
-        flux, handed  whether these are wanted
+        wanted  whether these are: (direct, flux, handed)
+        opaque  (occlusion, its albedo), (nx, ny, nz) float32 each, or None
         """
-        self.tally_shape, self.kinds = shape, kinds(flux, handed)
+        direct, flux, _ = wanted
+        self.tally_shape, self.kinds = shape, kinds(*wanted)
         self.tally_arguments = (*map(np.int32, shape), np.float32(lower), np.float32(per_cell))
-        self.photons = self._program("photons.cl", *(["KEEP_FLUX"] if flux else []))
+        defines = {"KEEP_DIRECT": direct, "KEEP_FLUX": flux, "OCCLUSION": opaque is not None}
+        self.photons = self._program("photons.cl", *(name for name, on in defines.items() if on))
+        self.opaque = [self._output(4)] * 2 if opaque is None else [*map(self._upload, opaque)]
         # Two words a tally; and OpenCL has no empty buffers.
-        self.tallies = [self._zeros(8 * prod(shape) * max(n, 1)) for n in self.kinds]
+        self.tallies = [self._zeros(max(8 * prod(shape) * n, 8)) for n in self.kinds]
         self.before = self._zeros(8 * prod(shape))
         self.deviation = self._zeros(4 * prod(shape))
         self.sums = self._zeros(8 * SUMS * self.items)
 
-    def trace_photons(self, photons, first, per_depth, seed, most_steps, optics, spacing, last):
+    def trace_photons(
+        self, photons, copies, first, per_depth, seed, most_steps, optics, spacing, last
+    ):
         """Trace photons into the tallies.
 
         photons  (7, n) float32: as `rays` of free_paths, and weights from 0 to HEAVIEST
-        first    number of the first photon, which chooses its random numbers
+        copies   paths that begin as each photon does
+        first    number of the first path, which chooses its random numbers
         optics   (albedo, mean cosine)
         spacing  fine cells between two points where a path is scored
         last     the collision at which a photon is handed over, or 0
@@ -73,9 +80,10 @@ class OpenclPaths:
             return
         _kernel(self.photons, "trace_photons")(
             *(self.queue, (self.items,), (_GROUP,), *self.arguments, np.float32(per_depth)),
-            *(self._upload(photons), np.int32(photons.shape[1]), np.uint32(seed)),
-            *(np.uint32(first), np.int32(most_steps), *map(np.float32, (*optics, spacing))),
-            *(np.int32(last), *self.tally_arguments, *self.tallies, self.sums),
+            *(self._upload(photons), np.int32(photons.shape[1]), np.int32(copies)),
+            *(np.uint32(seed), np.uint32(first), np.int32(most_steps)),
+            *map(np.float32, (*optics, spacing)),
+            *(np.int32(last), *self.opaque, *self.tally_arguments, *self.tallies, self.sums),
         )
         self.queue.finish()
 

@@ -6,6 +6,10 @@ function. Its path is scored at points a fixed length apart, the first at random
 score is in expectation the length of all paths in it: a track length estimator. It is unbiased in
 any density, in voids too, where nothing collides; and unlike a score at each voxel's border it
 costs nothing in voxels that a path just passes between two points.
+
+Opaque voxels stop what arrives at their borders with the probability of their occlusion, and send
+the share of their albedo back by the cosine (Lambert), as scattered light. What leaves a voxel is
+not hindered by its own: so where all is white, a voxel holds the share 1 - occlusion of the light.
 """
 
 from dataclasses import dataclass
@@ -28,6 +32,9 @@ _FEWEST_BATCHES, _MOST_BATCHES, _PHOTONS_A_VOXEL = 8, 32, 1 / 128
 _AT_ONCE = 2**18  # photons, at most, that a light emits, and between two looks at `cancel`
 _PROBE = 1024  # photons that tell how bright a light is
 _CLOSEST = 0.01  # voxels between two scores; closer ones might not move on in float32
+# Paths of a photon, where direct light is not wanted: drawing it takes as long as some collisions.
+_COPIES = 4
+_AT_BORDER = 1e-6  # voxels from the domain's face, where light from outside begins
 _TALLIED = 128  # voxels along an edge of the tallies of a medium without voxels
 
 
@@ -39,8 +46,9 @@ class _Run:
     number: int
     band: int
     multiples: dict
-    photons: int  # in a batch
-    power: float  # W of a photon of weight 1
+    photons: int  # that the light sends in a batch
+    copies: int  # paths of each photon
+    power: float  # W of a path of weight 1
 
 
 def trace(
@@ -56,6 +64,7 @@ def trace(
     supervoxel=None,
     tallied=None,
     spacing=1.0,
+    direct=True,
     flux=True,
     most_steps=MOST_STEPS,
     progress=None,
@@ -63,7 +72,8 @@ def trace(
 ):
     """Light a medium by tracing photons.
 
-    medium         `Medium` or `PerlinMedium`; outside is vacuum. Its emission is a light, too
+    medium         `Medium` or `PerlinMedium`; outside is vacuum. Its emission is a light, too.
+                   Its shift between bands is left to who knows all bands' absorbed light
     lights         lights of `lights.py`, or anything with their `spectrum` and `emit`
     photons        how many to trace for each band that differs from the others, shared out
                    among the lights by power
@@ -71,12 +81,15 @@ def trace(
     seed           0 to 2^32 - 1; on a given device, a seed always gives the same field
     device         None for the best, or part of the label of one of `device.devices()`
     handover       the collision at which a photon is not scattered but handed over, with the
-                   place and direction that a lattice needs to go on with it; None for never
+                   place and direction that a lattice needs to go on with it; None for never.
+                   Reflections by opaque voxels do not count
     interpolation  of a Medium's density: "constant" in voxels, or "linear" between their centres
     supervoxel     voxels along the edge of a super-voxel; None for the size that is cheapest
     tallied        voxels along an edge of the field of a PerlinMedium; None for 128 at most.
                    That of a Medium has the medium's voxels
     spacing        voxels of the field between two scores of a path: larger is faster, noisier
+    direct         whether to find light that has neither collided nor been reflected, too. If not,
+                   each photon begins four paths, which saves much of the time of short ones
     flux           whether to find the field's flux, too: a score is four additions then, not one
     most_steps     of a path, before it is given up
     progress       called as progress(stage, fraction) with fraction from 0 to 1
@@ -86,34 +99,36 @@ def trace(
     does not hold, which would be a bias.
     Source: paper 2 for the paths; equation 1 of paper 1 for what they solve.
     """
-    _refuse_unfit(medium, photons, handover, spacing, seed, most_steps)
+    _refuse_unfit(medium, photons, handover, interpolation, spacing, seed, most_steps)
     clock = Clock()
     with clock("prepare"):
         used = devices.choose(device)
-        shape, handed = _tally_shape(medium, tallied), handover is not None
+        shape = _tally_shape(medium, tallied)
+        wanted = direct, flux, handover is not None
         # Twice: the device works for the bound already, and how large that is shows only then.
-        devices.require_memory(used, shape, lambda s: _plan(s, medium.bands, flux, handed))
+        devices.require_memory(used, shape, lambda s: _plan(s, medium, wanted))
         grid = path_grid(medium, sampler, interpolation, supervoxel, used)
-        needed = devices.require_memory(
-            used, shape, lambda s: _plan(s, medium.bands, flux, handed, grid)
-        )
+        needed = devices.require_memory(used, shape, lambda s: _plan(s, medium, wanted, grid))
         batches = _batches(photons, prod(shape))
-        runs = _runs(medium, lights, photons, batches, seed)
+        runs = _runs(medium, lights, photons, batches, 1 if direct else _COPIES, seed)
         per_cell = shape[0] / (grid.fine.upper[0] - grid.fine.lower)
         paths = engine(grid, used)
-        result = _Result(medium, shape, flux, handed, batches)
+        result = _Result(medium, shape, wanted, batches)
 
     for number, run in enumerate(runs):
         with clock("trace"):
-            paths.start_tallies(shape, grid.fine.lower, per_cell, flux, handed)
+            opaque = _opaque(medium, run.band)
+            paths.start_tallies(shape, grid.fine.lower, per_cell, wanted, opaque)
+            at_border = np.zeros(tallies.SUMS)
             for batch in range(batches):
                 options = (most_steps, spacing / per_cell, handover or 0)
-                _trace_batch(paths, run, batch, seed, options, cancel)
+                at_border += _trace_batch(paths, run, batch, seed, options, cancel)
                 paths.take_batch(batch + 1)
                 if progress is not None:
                     progress("trace", (number + (batch + 1) / batches) / len(runs))
         with clock("read"):
-            result.add(run, *paths.read_tallies(), spacing / per_cell * medium.voxel_size)
+            *found, sums = paths.read_tallies()
+            result.add(run, *found, sums + at_border, spacing / per_cell * medium.voxel_size)
 
     report = PhotonReport(
         model="photons",
@@ -126,7 +141,7 @@ def trace(
     return result.field(report)
 
 
-def _refuse_unfit(medium, photons, handover, spacing, seed, most_steps):
+def _refuse_unfit(medium, photons, handover, interpolation, spacing, seed, most_steps):
     require_whole(photons, "number of photons", 1, 2**40)
     require_whole(seed, "seed", 0, 2**32 - 1)
     if handover is not None:
@@ -136,8 +151,23 @@ def _refuse_unfit(medium, photons, handover, spacing, seed, most_steps):
         raise SettingsError(
             f"The spacing of scores must be {_CLOSEST} voxels or more; it is {spacing}."
         )
-    if getattr(medium, "occlusion", None) is not None:
-        raise MediumError("Photons know no opaque voxels; leave the occlusion out.")
+    if _has_opaque(medium) and interpolation != "constant":
+        raise MediumError(
+            "Opaque voxels stop light at their borders, where an interpolated density has none; "
+            'use the interpolation "constant", or leave the occlusion out.'
+        )
+
+
+def _has_opaque(medium):
+    return getattr(medium, "occlusion", None) is not None
+
+
+def _opaque(medium, band):
+    """(occlusion, its albedo in a band), (nx, ny, nz) float32 each; None where there is none."""
+    if not _has_opaque(medium):
+        return None
+    albedo = np.broadcast_to(medium.occlusion_albedo[band], medium.shape)
+    return medium.occlusion, np.ascontiguousarray(albedo)
 
 
 def _tally_shape(medium, tallied):
@@ -154,23 +184,25 @@ def _batches(photons, voxels):
     return max(batches, -(-photons // _AT_ONCE))
 
 
-def _plan(shape, bands, flux, handed, grid=None):
+def _plan(shape, medium, wanted, grid=None):
     """({what: bytes} on the device, bytes on the host) of a trace into `shape` voxels."""
-    voxels, kinds = prod(shape), tallies.kinds(flux, handed)
+    voxels, kinds = prod(shape), tallies.kinds(*wanted)
     names = ("direct", "scattered", "handed")
     plan = {f"{name} light": 8 * n * voxels for name, n in zip(names, kinds, strict=True)}
     plan["scattered light before"], plan["variance"] = 8 * voxels, 4 * voxels
+    if _has_opaque(medium):
+        plan["opaque voxels"] = 8 * voxels
     if grid is not None and not grid.procedural:
         plan["density"] = grid.fine.values.nbytes
     if grid is not None and grid.bound is not None:
         plan["bound"] = grid.bound.values.nbytes
-    field = bands * (sum(kinds) + 1) * 4 * voxels
+    field = medium.bands * (sum(kinds) + 1) * 4 * voxels
     work = (sum(kinds) + 2 * max(kinds)) * 4 * voxels
     photons = 4 * 7 * 8 * _AT_ONCE
     return plan, field + work + photons
 
 
-def _runs(medium, lights, photons, batches, seed):
+def _runs(medium, lights, photons, batches, copies, seed):
     """The `_Run`s that a medium and its lights need: those that differ, and are not dark."""
     lights = list(lights)
     if getattr(medium, "emission", None) is not None:
@@ -181,14 +213,14 @@ def _runs(medium, lights, photons, batches, seed):
         whole = sum(probe.sum() for probe in probes)
         for number, (light, probe) in enumerate(zip(lights, probes, strict=True)):
             if probe.any():
-                count = max(1, round(photons * probe.sum() / whole / batches))
-                power = float(probe.max()) * _PROBE / count
+                count = max(1, round(photons * probe.sum() / whole / (batches * copies)))
+                power = float(probe.max()) * _PROBE / (count * copies)
             elif callable(light.spectrum):  # all that is bright may lie between the probe's photons
-                count = max(1, photons // (len(lights) * batches))
-                power = 1 / count
+                count = max(1, photons // (len(lights) * batches * copies))
+                power = 1 / (count * copies)
             else:
                 continue
-            runs.append(_Run(light, number, band, multiples[number], count, power))
+            runs.append(_Run(light, number, band, multiples[number], count, copies, power))
     if not runs:
         raise LightError(
             "There is no light; add a sun, or a world with a colour that is not black."
@@ -201,7 +233,10 @@ def _distinct(medium, lights):
     distinct = []
     for band in range(medium.bands):
         for base, multiples in distinct:
-            alike = all(v[band] == v[base] for v in (medium.sigma_s, medium.sigma_a, medium.g))
+            optics = [medium.sigma_s, medium.sigma_a, medium.g]
+            if _has_opaque(medium):
+                optics.append(medium.occlusion_albedo)
+            alike = all(np.array_equal(v[band], v[base]) for v in optics)
             factors = [multiple([light], medium, band, base) for light in lights]
             if alike and None not in factors:
                 for bands, factor in zip(multiples, factors, strict=True):
@@ -218,22 +253,30 @@ def _probe(light, medium, band, seed):
 
 
 def _trace_batch(paths, run, batch, seed, options, cancel):
-    """Trace the photons of one batch; options are the last arguments of the paths' own method."""
+    """Trace the photons of one batch; options are the last arguments of the paths' own method.
+
+    Returns (SUMS,) of what opaque voxels at the domain's faces let nobody trace.
+    """
     grid, medium = paths.grid, paths.grid.medium
     rng = np.random.default_rng([seed, 1, run.number, batch])
     origins, directions, power = run.light.emit(run.photons, medium, rng, run.band)
     _, points, hit = enter(grid, origins, directions)
     hit &= power > 0
-    photons = np.concatenate([points.T, directions.T, power[None] / run.power])[:, hit]
-    photons = _lighter(photons).astype(np.float32)
+    weight = power / (run.copies * run.power)
+    photons = np.concatenate([points.T, directions.T, weight[None]])[:, hit]
+    opaque = _opaque(medium, run.band)
+    sums = np.zeros(tallies.SUMS) if opaque is None else _stop_at_border(photons, *opaque)
+    photons = _lighter(photons[:, photons[6] > 0]).astype(np.float32)
     stream = np.random.SeedSequence([seed, run.number, batch]).generate_state(1)[0]
-    for first in range(0, photons.shape[1], _AT_ONCE):
+    at_once = _AT_ONCE // run.copies
+    for first in range(0, photons.shape[1], at_once):
         if cancel is not None and cancel():
             raise Cancelled("Cancelled; nothing was changed.")
         most_steps, spacing, last = options
         paths.trace_photons(
-            np.ascontiguousarray(photons[:, first : first + _AT_ONCE]),
-            first,
+            np.ascontiguousarray(photons[:, first : first + at_once]),
+            run.copies,
+            first * run.copies,
             grid.per_depth(run.band),
             stream,
             most_steps,
@@ -241,6 +284,29 @@ def _trace_batch(paths, run, batch, seed, options, cancel):
             spacing,
             last,
         )
+    return run.copies * sums
+
+
+def _stop_at_border(photons, occlusion, albedo):
+    """Take from photons (7, n) that come from outside what the first voxel stops; (SUMS,) of it.
+
+    What is reflected there leaves at once, so that nothing is drawn: all lose their share.
+    """
+    points, directions, weight = photons[:3], photons[3:6], photons[6]
+    shape = np.reshape(occlusion.shape, (3, 1))
+    forward = directions >= 0
+    distance = np.where(forward, points, shape - points)
+    axis = distance.argmin(axis=0)
+    outside = distance.min(axis=0) < _AT_BORDER
+    voxel = tuple(np.clip(points.astype(int), 0, shape - 1))
+    stopped = np.where(outside, weight * occlusion[voxel], 0)
+    photons[6] -= stopped
+    reflected = stopped * albedo[voxel]
+    face = 2 * axis + ~forward[axis, np.arange(len(axis))]
+    sums = np.zeros(tallies.SUMS)
+    sums[tallies.ABSORBED] = (stopped - reflected).sum()
+    sums[tallies.LEFT_THROUGH : tallies.LEFT_THROUGH + 6] = np.bincount(face, reflected, 6)
+    return sums
 
 
 def _lighter(photons):
@@ -255,7 +321,8 @@ def _lighter(photons):
 class _Result:
     """Adds up what the runs of a trace found."""
 
-    def __init__(self, medium, shape, flux, handed, batches):
+    def __init__(self, medium, shape, wanted, batches):
+        _, flux, handed = wanted
         edge = medium.voxel_size * medium.shape[0] / shape[0]
         self.domain = Domain(medium.origin, edge, shape)
         self.batches = batches
@@ -272,7 +339,7 @@ class _Result:
     def add(self, run, direct, scattered, handed, deviation, sums, spacing):
         """What a run scored, as the paths' read_tallies returns it; spacing in m."""
         refuse_violations(int(sums[tallies.VIOLATIONS]))
-        self.photons += run.photons * self.batches
+        self.photons += run.photons * run.copies * self.batches
         self.lost += int(sums[tallies.LOST_PHOTONS])
         edge, shape = self.domain.voxel_size, self.domain.shape
         direct, scattered, handed = (v.T.reshape(-1, *shape) for v in (direct, scattered, handed))
@@ -283,7 +350,7 @@ class _Result:
             self.energy[band] += power * sums[: tallies.LOST_PHOTONS]
             self.collisions[band] += int(sums[tallies.COLLISIONS])
             scale = np.float32(power * spacing / edge**3)  # length of paths in 1 m^3
-            self.direct[band] += scale * direct[0]
+            self.direct[band] += scale * direct.sum(axis=0)  # 0 where it is not wanted
             self.fluence[band] += scale * scattered[tallies.WEIGHT]
             with np.errstate(invalid="ignore"):  # of one batch alone
                 self.variance[band] += scale**2 * spread * deviation.reshape(shape)

@@ -7,7 +7,7 @@ UNIT = 2.0**24  # of a tally, in a weight of 1
 HEAVIEST = 64.0  # weight that a photon may start with
 
 # What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
-# Of light that has not collided: its weight. Of light that has:
+# Of light that has neither collided nor been reflected: its weight. Of light that has:
 WEIGHT = 0  # its weight
 FLUX = 1  # three, where they are wanted: weight and direction
 FLUX_TALLIES = 3
@@ -29,9 +29,9 @@ COLLISIONS = 11
 SUMS = 12
 
 
-def kinds(flux, handed):
-    """(direct, scattered, handed): tallies of a voxel."""
-    return 1, 1 + (FLUX_TALLIES if flux else 0), HANDED_TALLIES if handed else 0
+def kinds(direct, flux, handed):
+    """(direct, scattered, handed): tallies of a voxel, of what is wanted."""
+    return int(direct), 1 + (FLUX_TALLIES if flux else 0), HANDED_TALLIES if handed else 0
 
 
 def in_weights(sums):

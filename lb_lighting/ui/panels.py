@@ -34,7 +34,16 @@ class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
         ob = context.object
         if ob is not None and ob.type in SURFACE_TYPES:
             column.prop(ob.lb_lighting, "role")
-        column.prop(settings, "keep_absorbed")
+
+        layout.separator()
+        column = layout.column()
+        column.prop(settings, "model")
+        handover = column.row()
+        handover.active = settings.model == "physical"
+        handover.prop(settings, "handover")
+        absorbed = column.row()
+        absorbed.active = settings.model == "paper"
+        absorbed.prop(settings, "keep_absorbed")
 
         layout.separator()
         column = layout.column()

@@ -22,6 +22,19 @@ MEDIA = [
     ("plant", "Plant", "Leaves: green light passes and is scattered, red and blue are absorbed"),
     ("pmma", "PMMA", "Translucent acrylic plastic"),
 ]
+MODELS = [
+    (
+        "physical",
+        "Physical",
+        "In the scene's units: the light of lamps and sky is exact up to its first collision, "
+        "and the lattice carries what is scattered",
+    ),
+    (
+        "paper",
+        "Paper",
+        "The lattice of Geist and Westall as printed: for comparison; its level is not nature's",
+    ),
+]
 MODES = [
     (
         "REPLACE",
@@ -89,13 +102,23 @@ class SceneProperties(bpy.types.PropertyGroup):
         name="Grid",
         description="Grid to read from volumes and smoke; empty for the one the material names",
     )
+    model: EnumProperty(name="Model", description="How light is computed", items=MODELS)
+    handover: FloatProperty(
+        name="Trace Photons",
+        description="How far light is traced as photons before the lattice takes it over, in "
+        "transport optical depths: 0 is fast and free of noise, 4 is more exact",
+        default=0,
+        min=0,
+        soft_max=8,
+    )
     mode: EnumProperty(name="Volumes", description="How a lit volume is rendered", items=MODES)
     strength: FloatProperty(
         name="Strength", description="Factor on the light in the render", default=1, min=0
     )
     keep_absorbed: BoolProperty(
         name="Keep Absorbed Light",
-        description="Emit absorbed light again instead of losing it: brighter, and less coloured",
+        description="Emit absorbed light again instead of losing it: brighter, and less coloured. "
+        "For the paper's model alone",
     )
     device: StringProperty(
         name="Device",

@@ -11,9 +11,10 @@ import numpy as np
 
 from lb_lighting.transport import PRESETS, Medium, Sun, device
 from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper import PaperLattice
-from lb_lighting.transport.reference import ReferenceLattice
-from lb_lighting.transport.solver import KERNELS, boundary_inflow
+from lb_lighting.transport.paper_opencl import PaperLattice
+from lb_lighting.transport.paper_numpy import PaperReference
+from lb_lighting.transport.paper import boundary_inflow
+from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 
 TABLES = {"table 3": (256, 128, 128), "table 4": (128, 128, 128)}
@@ -50,7 +51,7 @@ def rows(table, shape):
     medium = cloud(shape)
     for found in device.devices():
         if found.kind == "NumPy":
-            lattices = [("NumPy", lambda: ReferenceLattice(medium, False))]
+            lattices = [("NumPy", lambda: PaperReference(medium, False))]
         else:
             lattices = [
                 (

@@ -32,7 +32,7 @@ def plan_and_peak(wanted, kernel, edge):
 
 def measure(wanted, kernel, edge):
     """The same for this process."""
-    settings = Settings(steps=2, kernel=kernel)
+    settings = Settings("paper", steps=2, kernel=kernel)
     _solve(8, settings, wanted)
     before = _peak_memory()
     field = _solve(edge, settings, wanted)

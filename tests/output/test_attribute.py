@@ -4,27 +4,31 @@
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from lb_lighting.errors import OutputError
 from lb_lighting.output.attribute import (
     AMBIENT_ATTRIBUTE,
+    BACK_ATTRIBUTE,
+    irradiance,
     remove_ambient,
     sample,
     write_ambient,
 )
+from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.medium import Domain
 
 DOMAIN = Domain((-4.0, -4.0, -4.0), 0.5, (16, 16, 16))
 
 
 def linear_field():
-    """x + 2 y + 3 z, and its double and triple: trilinear interpolation has it exactly."""
-    field = DOMAIN.centers() @ (1, 2, 3)
+    """x + 2 y + 3 z + 30, and its double and triple: trilinear interpolation has it exactly."""
+    field = DOMAIN.centers() @ (1, 2, 3) + 30
     return np.stack([field, 2 * field, 3 * field])
 
 
 def expected(points):
-    return np.outer(np.asarray(points) @ (1, 2, 3), (1, 2, 3))
+    return np.outer(np.asarray(points) @ (1, 2, 3) + 30, (1, 2, 3))
 
 
 def add(mesh, name="ob"):
@@ -39,8 +43,8 @@ def triangle():
     return mesh
 
 
-def written(mesh):
-    attribute = mesh.attributes[AMBIENT_ATTRIBUTE]
+def written(mesh, name=AMBIENT_ATTRIBUTE):
+    attribute = mesh.attributes[name]
     assert (attribute.domain, attribute.data_type) == ("POINT", "FLOAT_COLOR")
     colors = np.empty(4 * len(mesh.vertices), np.float32)
     attribute.data.foreach_get("color", colors)
@@ -53,9 +57,18 @@ def world_vertices(ob):
     return [ob.matrix_world @ vertex.co for vertex in ob.data.vertices]
 
 
-def write(objects, radiance=None):
+def field_of(fluence, flux=None):
+    """A `Field` of scattered light: fluence (bands, nx, ny, nz), flux the same for all voxels."""
+    flux = np.zeros((len(fluence), 3)) if flux is None else np.asarray(flux)
+    everywhere = np.broadcast_to(flux[..., None, None, None], (*flux.shape, *DOMAIN.shape))
+    return Field(DOMAIN, fluence, 0 * fluence, everywhere, Report("physical", "none"))
+
+
+def write(objects, radiance=None, **options):
+    """Light from all sides, of that radiance: both sides have it."""
+    radiance = linear_field() if radiance is None else radiance
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    write_ambient(objects, depsgraph, DOMAIN, linear_field() if radiance is None else radiance)
+    write_ambient(objects, depsgraph, field_of(4 * np.pi * radiance), **options)
 
 
 def test_sample_is_exact_on_linear_fields():
@@ -80,6 +93,93 @@ def test_gray_light_is_gray():
     ob = add(triangle())
     write([ob], linear_field()[:1])
     assert np.ptp(written(ob.data), axis=1) == pytest.approx(0)
+
+
+def test_light_from_all_sides_is_the_same_on_both():
+    ob = add(triangle())
+    write([ob])
+    assert written(ob.data, BACK_ATTRIBUTE) == pytest.approx(written(ob.data))
+
+
+NORMALS = np.array([(0, 0, 1.0), (0, 0, -1), (1, 0, 0), (0, 0.6, -0.8)])
+
+
+@pytest.mark.parametrize("radiance", [lambda d: 1 + 0 * d[2], lambda d: 1 + 0.7 * d[2]])
+def test_irradiance_is_that_of_radiance_linear_in_direction(radiance):
+    """Against the integral over the hemisphere; d is the way the light travels."""
+    height = (np.arange(400) + 0.5) / 200 - 1
+    turn = 2 * np.pi * np.arange(64) / 64
+    d = np.stack([
+        np.outer(np.sqrt(1 - height**2), np.cos(turn)),
+        np.outer(np.sqrt(1 - height**2), np.sin(turn)),
+        np.outer(height, np.ones(64)),
+    ])  # fmt: skip
+    shine, solid_angle = radiance(d), 4 * np.pi / (400 * 64)
+    fluence, flux = shine.sum() * solid_angle, (d * shine).sum(axis=(1, 2)) * solid_angle
+    onto = np.einsum("axy,na->nxy", d, NORMALS)
+    front, back = (
+        (np.maximum(0, sign * onto) * shine).sum(axis=(1, 2)) * solid_angle for sign in (-1, 1)
+    )
+    field = field_of(np.full((1, *DOMAIN.shape), fluence), flux[None])
+    found = irradiance(field, np.zeros((4, 3)), NORMALS)
+    assert found[0][:, 0] == pytest.approx(front, rel=1e-3)
+    assert found[1][:, 0] == pytest.approx(back, rel=1e-3)
+
+
+def test_irradiance_is_not_negative():
+    field = field_of(np.ones((1, *DOMAIN.shape)), [(0, 0, 0.9)])
+    front, back = irradiance(field, np.zeros((1, 3)), np.array([(0, 0, 1.0)]))
+    assert front == 0
+    assert back == pytest.approx(0.7)
+
+
+def test_opaque_voxels_do_not_count():
+    """Half of the voxels around the point are opaque and dark; the others are lit."""
+    lit = np.ones((1, *DOMAIN.shape))
+    lit[:, 8:] = 0
+    occlusion = 1 - lit[0]
+    front, _back = irradiance(field_of(lit), np.zeros((1, 3)), NORMALS[:1], occlusion)
+    assert front == pytest.approx(1 / 4)
+    front, _back = irradiance(field_of(lit), np.full((1, 3), 2.0), NORMALS[:1], occlusion)
+    assert front == 0
+
+
+def slope():
+    """A triangle whose normal is (-1, 0, 1)."""
+    mesh = bpy.data.meshes.new("slope")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 1), (0, 1, 0)], [], [(0, 1, 2)])
+    return mesh
+
+
+def flux_field():
+    """One band, of flux 0.4 upwards."""
+    return field_of(np.ones((1, *DOMAIN.shape)), [(0, 0, 0.4)])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "up"),
+    [
+        (Matrix(), np.sqrt(1 / 2)),
+        (Matrix.Rotation(np.pi, 4, "X"), -np.sqrt(1 / 2)),
+        (Matrix.Diagonal((1, 1, -1, 1)), -np.sqrt(1 / 2)),
+        (Matrix.Diagonal((-1, 1, 1, 1)), np.sqrt(1 / 2)),
+        (Matrix.Diagonal((1, 1, 2, 1)), np.sqrt(1 / 5)),
+    ],
+    ids=["as it is", "upside down", "mirrored along z", "mirrored along x", "stretched"],
+)
+def test_sides_follow_the_normals_in_the_world(matrix, up):
+    ob = add(slope())
+    ob.matrix_world = matrix
+    write_ambient([ob], bpy.context.evaluated_depsgraph_get(), flux_field())
+    assert written(ob.data) == pytest.approx((1 / 4 - 0.2 * up) / np.pi)
+    assert written(ob.data, BACK_ATTRIBUTE) == pytest.approx((1 / 4 + 0.2 * up) / np.pi)
+
+
+def test_bodies_show_what_comes_out_of_them():
+    ob = add(slope())
+    write_ambient([ob], bpy.context.evaluated_depsgraph_get(), flux_field(), bodies=[ob])
+    for name in (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE):
+        assert written(ob.data, name) == pytest.approx((1 / 4 + 0.2 * np.sqrt(1 / 2)) / np.pi)
 
 
 def test_modifiers_move_the_vertices():

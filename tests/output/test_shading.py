@@ -530,7 +530,7 @@ def test_source_is_given_back(hidden):
 def test_baked_volume_has_one_material_and_takes_it_along(tmp_path):
     ob = show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb")
     shade_volume(ob, "REPLACE", 2.0, 0.5)
-    shade_volume(ob, "ADD", (1, 2, 3), (4, 5, 6), 0.5)
+    shade_volume(ob, "ADD", (1, 2, 3), (4, 5, 6), strength=0.5)
     (material,) = ob.data.materials
     inputs = next(n for n in material.node_tree.nodes if n.type == "GROUP").inputs
     assert tuple(inputs["Sigma S"].default_value) == (1, 2, 3)

@@ -17,14 +17,18 @@ from lb_lighting.output.volume import (
     baked_volumes,
     default_folder,
     delete_baked_file,
+    direct_grid,
     forget,
     lost_sources,
     read_metadata,
     remove_baked,
     show_volume,
     sources_of,
+    volume_light,
     write_vdb,
 )
+from lb_lighting.transport.field import Field, Report
+from lb_lighting.transport.lights import PointLight, Sky, Sun
 from lb_lighting.transport.medium import Domain
 from tests.scenery import read_only, source
 
@@ -78,6 +82,53 @@ def test_light_reaches_two_voxels_beyond_density_and_the_domain(tmp_path, domain
     assert np.array_equal(found, np.moveaxis(light * lit, 0, -1))
     beyond = voxels(grid, (2, 2, -2), (1, 1, 2, 3))
     assert np.array_equal(beyond[0, 0], np.tile(light[:, 2, 2, 0], (2, 1)))
+
+
+def test_unscattered_light_is_written_by_beam(tmp_path, domain, density, light):
+    write_vdb(tmp_path / "a.vdb", domain, density, light, {}, [2 * light, light[:1]])
+    for number, expected in ((1, 2 * light), (2, light[[0, 0, 0]])):
+        grid = read_grid(tmp_path / "a.vdb", direct_grid(number))
+        found = voxels(grid, (0, 0, 0), (6, 6, 5, 3))
+        assert np.array_equal(found, np.moveaxis(expected[:, :6, :6, :5], 0, -1))
+
+
+class TestVolumeLight:
+    SHAPE = 1, 3, 4, 5
+    LIGHTS = (Sun((0, 0, -1), 1.0), Sky(1.0), PointLight((0, 0, 9), 1.0))
+
+    def field(self, glow=0.0, apart=True):
+        """Scattered light of 1, that of the lights of 2, 3 and 4, and of the medium itself."""
+        own = np.stack([np.full(self.SHAPE, value, np.float32) for value in (2.1, 3.1, 4.1)])
+        return Field(
+            Domain((0, 0, 0), 1.0, self.SHAPE[1:]),
+            np.ones(self.SHAPE, np.float32),
+            own.sum(axis=0) + np.float32(glow),
+            None,
+            Report("physical", "none"),
+            by_light=own if apart else None,
+        )
+
+    def test_replace_has_beams_apart_and_all_else_together(self):
+        light, beams = volume_light(self.field(glow=0.5), self.LIGHTS, "REPLACE")
+        assert light == pytest.approx(np.full(self.SHAPE, 4.6 / (4 * np.pi)), rel=1e-6)
+        assert [beam for beam, _own in beams] == [self.LIGHTS[0], self.LIGHTS[2]]
+        assert [float(own[0, 0, 0, 0]) for _beam, own in beams] == pytest.approx([2.1, 4.1])
+
+    def test_beams_alone_leave_nothing_less_than_nothing(self):
+        field = self.field()
+        field.by_light, field.direct = field.by_light[::2], 0.999999 * field.by_light[::2].sum(0)
+        light, _beams = volume_light(field, self.LIGHTS[::2], "REPLACE")
+        assert light == pytest.approx(np.full(self.SHAPE, 1 / (4 * np.pi)), rel=1e-6)
+
+    def test_add_has_scattered_light_alone(self):
+        light, beams = volume_light(self.field(), self.LIGHTS, "ADD")
+        assert light == pytest.approx(np.full(self.SHAPE, 1 / (4 * np.pi)), rel=1e-6)
+        assert beams == []
+
+    def test_lights_that_cannot_be_told_apart_have_no_beams(self):
+        light, beams = volume_light(self.field(apart=False), self.LIGHTS, "REPLACE")
+        assert light == pytest.approx(np.full(self.SHAPE, 10.3 / (4 * np.pi)), rel=1e-6)
+        assert beams == []
 
 
 def test_gray_light_is_written_to_all_bands(tmp_path, domain, density, light):

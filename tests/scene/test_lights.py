@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Suns and the world, held to what Cycles makes of them."""
+"""Suns, points and the world, held to what Cycles makes of them."""
 
 from math import pi, radians
 
@@ -9,8 +9,8 @@ import pytest
 from mathutils import Euler
 
 from lb_lighting.errors import LightError
-from lb_lighting.scene.lights import scene_lights
-from lb_lighting.transport.lights import Sky, Sun
+from lb_lighting.scene.lights import scene_lights, unread_lamps
+from lb_lighting.transport.lights import PointLight, Sky, Sun
 
 
 def add_sun(collection=None, rotation=(0, 0, 0), **settings):
@@ -20,6 +20,16 @@ def add_sun(collection=None, rotation=(0, 0, 0), **settings):
     ob = bpy.data.objects.new("sun", lamp)
     ob.rotation_euler = rotation
     (collection or bpy.context.collection).objects.link(ob)
+    return ob
+
+
+def add_lamp(kind, location=(0, 0, 0), **settings):
+    lamp = bpy.data.lights.new(kind.lower(), kind)
+    for name, value in settings.items():
+        setattr(lamp, name, value)
+    ob = bpy.data.objects.new(lamp.name, lamp)
+    ob.location = location
+    bpy.context.collection.objects.link(ob)
     return ob
 
 
@@ -154,11 +164,58 @@ class TestSuns:
         add_sun(energy=1.0)
         assert [sun.irradiance for sun in lights()] == [1.0]
 
-    def test_other_lamps_do_not_count(self):
-        lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
-        bpy.context.collection.objects.link(lamp)
+
+class TestPoints:
+    HEIGHT = 3.0  # m over the ground, of which the picture shows 0.25 m around the foot
+
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"energy": 200.0, "color": (1, 0.5, 0.25)},
+            {"energy": 100.0, "exposure": 1.0, "use_temperature": True, "temperature": 3000},
+            {"energy": 200.0, "shadow_soft_size": 0.2, "use_soft_falloff": False},
+            {"energy": 200.0, "normalize": False, "shadow_soft_size": 0.1},
+            {"energy": 200.0, "normalize": False, "shadow_soft_size": 0.0},
+        ],
+    )
+    def test_power_is_that_of_cycles(self, settings, render):
+        """A white diffuse ground sends back power / (4 pi distance^2) over pi.
+
+        The mean over the picture is 0.25 % less than right under the lamp.
+        """
+        add_white_ground()
+        add_lamp("POINT", (0, 0, self.HEIGHT), **settings)
+        (point,) = lights()
+        irradiance = np.broadcast_to(point.power, 3) / (4 * pi * self.HEIGHT**2)
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def test_is_where_the_lamp_is(self):
+        parent = bpy.data.objects.new("parent", None)
+        bpy.context.collection.objects.link(parent)
+        parent.location = (1, 2, 3)
+        add_lamp("POINT", (0.5, 0, 0), energy=10.0).parent = parent
+        assert lights() == [PointLight((1.5, 2, 3), 10.0)]
+
+
+class TestOtherLamps:
+    def test_do_not_count(self):
+        add_lamp("SPOT")
         with pytest.raises(LightError, match="no light"):
             lights()
+
+    def test_are_named(self):
+        add_lamp("SPOT")
+        add_lamp("AREA")
+        add_lamp("SPOT").hide_render = True
+        add_lamp("POINT")
+        add_sun()
+        assert unread_lamps(bpy.context.evaluated_depsgraph_get()) == [
+            "Spots and areas are not read: 'spot', 'area'; use suns and points instead."
+        ]
+
+    def test_none_are_nothing_to_tell(self):
+        add_sun()
+        assert unread_lamps(bpy.context.evaluated_depsgraph_get()) == []
 
 
 class TestWorld:

@@ -8,6 +8,7 @@ import pytest
 from lb_lighting.errors import SceneError
 from lb_lighting.scene import sources
 from lb_lighting.scene.sources import FROM_MATERIAL, Reader, Share, mixture, open_sources
+from lb_lighting.transport.lights import Sky, Sun
 from lb_lighting.transport.medium import PRESETS, Domain, Optics
 from tests import scenery
 
@@ -78,10 +79,12 @@ class TestRoles:
         assert [source.is_volume for source in found] == [True, False, False]
         assert [source.shows_light for source in found] == [False, True, True]
 
-    def test_light_shows_on_leaves_but_not_on_what_stops_it(self, tmp_path):
+    def test_light_shows_on_surfaces(self, tmp_path):
         fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
-        found, _notes = read(fog, leaves, scenery.add_ball(role="OCCLUDER"))
-        assert [source.shows_light for source in found] == [False, True, False]
+        balls = [scenery.add_ball(role=role) for role in ("OCCLUDER", "SOLID")]
+        found, _notes = read(fog, leaves, *balls)
+        assert [source.shows_light for source in found] == [False, True, True, True]
+        assert [source.is_body for source in found] == [False, False, False, True]
 
     @pytest.mark.parametrize("how", ["object", "eye", "collection"])
     def test_hidden_is_named(self, how):
@@ -240,21 +243,113 @@ class TestSurfaces:
         told = "'ball' has several volume materials; the first fills it all."
         assert read(ob)[1] == [told]
 
-    @pytest.mark.parametrize(("role", "told"), [("FOLIAGE", 1), ("SOLID", 1), ("OCCLUDER", 0)])
-    def test_instances_of_a_mesh_are_told(self, role, told):
+    @pytest.mark.parametrize("role", ["FOLIAGE", "SOLID", "OCCLUDER"])
+    def test_instances_of_a_mesh_are_told(self, role):
         parent, child = scenery.add_ball(role=role), scenery.add_ball("child", radius=0.1)
         child.parent = parent
         assert len(read(parent, medium="cloud")[1]) == 0
         parent.instance_type = "VERTS"
         notes = read(parent, medium="cloud")[1]
-        assert [note.startswith("The instances of 'ball' shade") for note in notes] == [True] * told
+        assert [note.startswith("The instances of 'ball' shade") for note in notes] == [True]
 
-    def test_occluder_is_no_medium(self):
-        ((source,), _notes) = read(scenery.add_ball(role="OCCLUDER"))
-        assert source.shares(DOMAIN) == []
-        stopped = source.occlusion(DOMAIN)
+    def test_leaves_are_denser_towards_light_that_faces_them(self):
+        mesh = bpy.data.meshes.new("flat")
+        corners = [(x, y, 0.05) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+        mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+        mesh.materials.append(scenery.leaf_material())
+        inputs = mesh.materials[0].node_tree.nodes["Principled BSDF"].inputs
+        inputs["Alpha"].default_value = 0.5
+        found = share(scenery.link("flat", mesh))
+        assert found.toward((0, 0, 1.0)) == pytest.approx(2 * found.density)
+        assert not found.toward((1.0, 0, 0)).any()
+        assert found.density.sum() * DOMAIN.voxel_size**3 == pytest.approx(0.5 / 2, rel=1e-3)
+
+
+class TestOccluders:
+    def read(self, *objects):
+        found, notes = read(*objects)
+        assert all(source.shares(DOMAIN) == [] for source in found)
+        return sources.occluders([source.occlusion(DOMAIN) for source in found]), notes, found
+
+    def test_a_body_stops_light_and_throws_its_colour_back(self):
+        material = scenery.leaf_material(color=(0.3, 0.2, 0.1))
+        (stopped, albedo), notes, _found = self.read(
+            scenery.add_ball(role="OCCLUDER", material=material)
+        )
         assert stopped[10, 10, 10] == 1
         assert stopped[2, 2, 2] == 0
+        assert albedo == pytest.approx((0.3, 0.2, 0.1))
+        assert notes == []
+
+    def test_grey_is_one_band(self):
+        (_stopped, albedo), _notes, _found = self.read(scenery.add_ball(role="OCCLUDER"))
+        assert albedo == pytest.approx([0.8])
+
+    def test_each_has_its_colour_where_it_is(self):
+        balls = [
+            scenery.add_ball(role="OCCLUDER", radius=0.4, material=scenery.leaf_material(color))
+            for color in ((0.5, 0.2, 0.1), (0.1, 0.2, 0.5))
+        ]
+        balls[0].location.x, balls[1].location.x = -0.5, 0.5
+        bpy.context.view_layer.update()
+        (stopped, albedo), _notes, _found = self.read(*balls)
+        assert stopped[5, 10, 10] == stopped[14, 10, 10] == 1
+        assert albedo[:, 5, 10, 10] == pytest.approx((0.5, 0.2, 0.1))
+        assert albedo[:, 14, 10, 10] == pytest.approx((0.1, 0.2, 0.5))
+
+    def test_colours_in_one_object_count_by_their_area(self):
+        ob = scenery.add_ball(role="OCCLUDER", material=scenery.leaf_material((0.6, 0.6, 0.6)))
+        ob.data.materials.append(scenery.leaf_material((0.2, 0.2, 0.2)))
+        upper = np.array([face.center.z > 0 for face in ob.data.polygons])
+        ob.data.polygons.foreach_set("material_index", upper.astype(int))
+        (_stopped, albedo), _notes, _found = self.read(ob)
+        assert albedo == pytest.approx([0.4], abs=0.02)
+
+    def test_what_cannot_be_read_is_black(self):
+        ob = scenery.add_ball(role="OCCLUDER", material=scenery.leaf_material())
+        nodes = ob.active_material.node_tree.nodes
+        noise = nodes.new("ShaderNodeTexNoise").outputs["Color"]
+        color = nodes["Principled BSDF"].inputs["Base Color"]
+        ob.active_material.node_tree.links.new(noise, color)
+        (_stopped, albedo), (note,), _found = self.read(ob)
+        assert albedo == 0
+        assert note.startswith("'ball' throws no light back. 'leaf' takes a value from the node")
+
+    def test_a_coarse_wall_stops_light_but_shows_none(self):
+        wall = bpy.data.meshes.new("wall")
+        wall.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
+        wall = scenery.link("wall", wall)
+        wall.lb_lighting.role = "OCCLUDER"
+        (stopped, _albedo), (note,), (source,) = self.read(wall)
+        assert np.all(stopped[3:17, 3:17].max(axis=2) > 0.95)
+        assert not source.shows_light
+        assert note.startswith("'wall' shows none of the light, for its faces are larger than 4")
+
+
+class TestShadows:
+    SUN, SKY = Sun((0, 0, -2), 1.0), Sky(1.0)
+
+    def test_leaves_shade_a_sun_by_what_they_show_it(self):
+        found = share(scenery.add_leaves())
+        sun, sky = sources.with_shadows([self.SUN, self.SKY], [found])
+        assert sun.shadow_density == pytest.approx(found.toward((0, 0, -1)))
+        assert sky is self.SKY
+
+    def test_is_in_the_units_of_a_mixture(self):
+        """Where a share has no directions, its density is the one that the mixture has."""
+        leaf, fog = np.ones((2, 2, 2), np.float32), np.full((2, 2, 2), 3, np.float32)
+        shares = [
+            Share(leaf, Optics(0.5, 0.5, 0.1), lambda direction: 2 * leaf),
+            Share(fog, Optics(4.0, 1.0)),
+        ]
+        sun, _sky = sources.with_shadows([self.SUN, self.SKY], shares)
+        density, _optics = mixture(shares)
+        assert density == pytest.approx(1 + 15 * leaf)
+        assert sun.shadow_density == pytest.approx(2 + 15 * leaf)
+
+    def test_of_what_is_alike_from_everywhere_is_none(self, tmp_path):
+        lights = [self.SUN, self.SKY]
+        assert sources.with_shadows(lights, [share(scenery.add_fog(tmp_path))]) is lights
 
 
 class TestMixture:

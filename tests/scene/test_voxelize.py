@@ -4,6 +4,7 @@
 import time
 from math import pi
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -51,6 +52,21 @@ def parts_of(*objects):
 
 def triangles_of(*objects):
     return np.concatenate([part.triangles for part in parts_of(*objects)])
+
+
+def part_of(triangles, closed=False):
+    """A `Part` of triangles that no object has."""
+    return voxelize.Part(triangles, np.full(len(triangles), closed), None, None, False)
+
+
+def square(half=1.0):
+    """(2, 3, 3): a square about the origin that faces up."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    return half * corners[[[0, 1, 2], [0, 2, 3]]]
+
+
+def turned(triangles, angles):
+    return triangles @ np.array(Euler(angles).to_matrix()).T
 
 
 def area_of(triangles):
@@ -283,11 +299,15 @@ class TestSurfaceArea:
         domain = Domain((0, 0, 0), 1.0, (4, 4, 4))
         assert not voxelize.surface_area(np.empty((0, 3, 3)), domain).any()
 
-    def test_foliage_density(self):
-        leaf = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
-        domain = Domain((0, 0, 0), 0.5, (4, 4, 4))
-        density = voxelize.foliage_density(leaf[None] + 0.1, domain)
-        assert density[0, 0, 0] == pytest.approx(0.005 / 0.125 / 2)
+    def test_weights_multiply_the_area(self):
+        """Of triangles of all sizes, so that large ones are divided, and keep theirs."""
+        random = np.random.default_rng(2)
+        triangles = np.concatenate([random.normal(0, s, (20, 3, 3)) for s in (0.1, 1, 4)])
+        weight = random.uniform(size=60)
+        domain = domain_of(triangles, 48)
+        area = voxelize.surface_area(triangles, domain, weight)
+        each = [area_of(triangle[None]) for triangle in triangles]
+        assert area.sum() == pytest.approx(weight @ each, rel=1e-3)
 
     def test_a_million_triangles_in_seconds(self):
         random = np.random.default_rng(1)
@@ -299,6 +319,137 @@ class TestSurfaceArea:
         area = voxelize.surface_area(triangles, domain)
         assert time.perf_counter() - start < 30
         assert area.sum() == pytest.approx(area_of(triangles), rel=1e-3)
+
+
+class TestClosed:
+    @pytest.mark.parametrize(
+        ("add", "closed"),
+        [
+            (lambda: bpy.ops.mesh.primitive_uv_sphere_add(), True),
+            (lambda: bpy.ops.mesh.primitive_cylinder_add(radius=0.1, end_fill_type="NGON"), True),
+            (
+                lambda: bpy.ops.mesh.primitive_cylinder_add(radius=0.1, end_fill_type="NOTHING"),
+                True,
+            ),
+            (lambda: bpy.ops.mesh.primitive_plane_add(), False),
+            (lambda: bpy.ops.mesh.primitive_grid_add(x_subdivisions=90, y_subdivisions=90), False),
+            (lambda: bpy.ops.mesh.primitive_cone_add(end_fill_type="NOTHING"), False),
+        ],
+        ids=["sphere", "cylinder", "long pipe", "plane", "fine grid", "open cone"],
+    )
+    def test_of_a_shape(self, add, closed):
+        add()
+        (part,) = parts_of(bpy.context.object)
+        assert part.closed.shape == part.triangles.shape[:1]
+        assert np.all(part.closed == closed)
+
+    def test_many_small_holes_are_no_large_one(self):
+        """As where the branches of a tree are stuck on: a hundredth of the faces is missing."""
+        ball = add_sphere(5).data
+        shape = bmesh.new()
+        shape.from_mesh(ball)
+        bmesh.ops.delete(shape, geom=list(shape.faces)[::100], context="FACES")
+        shape.to_mesh(ball)
+        (part,) = parts_of(bpy.context.object)
+        assert part.closed.all()
+
+    def test_each_piece_of_a_mesh_is_told_apart_wherever_it_is_instanced(self):
+        parent = add_object(add_mesh([(0, 0, 0), (9, 0, 0)], []), "parent")
+        parent.instance_type = "VERTS"
+        cube, leaf = add_cube(), add_mesh([(5, 0, 0), (6, 0, 0), (5, 1, 0)], [(0, 1, 2)])
+        leaf = add_object(leaf, "leaf")
+        with bpy.context.temp_override(active_object=cube, selected_editable_objects=[cube, leaf]):
+            bpy.ops.object.join()
+        cube.parent = parent
+        (part,) = parts_of(parent)
+        sheets = part.triangles[~part.closed]
+        assert (len(part.triangles), len(sheets)) == (26, 2)
+        assert sheets[..., 0].min() == pytest.approx(5)
+
+
+class TestFoliageDensity:
+    DOMAIN = Domain((-1, -1, -1), 0.5, (4, 4, 4))
+
+    def test_is_half_the_area_per_volume(self):
+        leaf = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]) + 0.1
+        density = voxelize.foliage_density(part_of(leaf[None]), self.DOMAIN)
+        assert density[2, 2, 2] == pytest.approx(0.005 / 0.125 / 2)
+
+    def test_of_a_closed_body_is_what_it_shows_on_average(self):
+        """S/4 for any convex body (Cauchy)."""
+        sphere = 0.1 * triangles_of(add_sphere()) + 0.25
+        density = voxelize.foliage_density(part_of(sphere, closed=True), self.DOMAIN)
+        assert density[2, 2, 2] == pytest.approx(np.pi * 0.1**2 / 0.125, rel=0.01)
+
+    @pytest.mark.parametrize("closed", [True, False])
+    def test_towards_a_light_is_the_projected_area(self, closed):
+        tilted = turned(0.2 * square() + 0.1, (0.6, 0, 0))
+        density = voxelize.foliage_density(part_of(tilted, closed), self.DOMAIN, (0, 0, -1))
+        shown = 0.4**2 * np.cos(0.6) / (2 if closed else 1)
+        assert density.sum() * 0.125 == pytest.approx(shown, rel=1e-3)
+
+    def test_towards_all_lights_in_turn_is_the_mean(self):
+        tilted = turned(0.3 * square(), (0.6, 0.2, 0))
+        height = (np.arange(1000) + 0.5) / 500 - 1  # a spiral around the sphere
+        turn, radius = 2.399963 * np.arange(1000), np.sqrt(1 - height**2)
+        directions = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+        part = part_of(tilted)
+        each = [voxelize.foliage_density(part, self.DOMAIN, d).sum() for d in directions]
+        isotropic = voxelize.foliage_density(part, self.DOMAIN).sum()
+        assert np.mean(each) == pytest.approx(isotropic, rel=0.01)
+
+
+class TestOpaqueShare:
+    DOMAIN = Domain((-8, -8, -8), 1.0, (16, 16, 16))
+
+    def share(self, triangles, closed=False):
+        return voxelize.opaque_share(triangles, np.full(len(triangles), closed), self.DOMAIN)
+
+    @pytest.mark.parametrize(("facing", "row"), [((0, 0, 0), 7), ((np.pi, 0, 0), 8)])
+    def test_a_wall_between_voxels_is_behind_its_front(self, facing, row):
+        share = self.share(turned(square(20), facing))
+        assert share[:, :, row].min() > 0.99
+        share[:, :, row] = 0
+        assert not share.any()
+
+    def test_a_wall_inside_of_voxels_fills_them(self):
+        assert self.share(square(20) + 0.4)[:, :, 8].min() > 0.99
+
+    @pytest.mark.parametrize(
+        "angles", [(0.2, 0, 0), (0.4, 0.4, 0), (np.pi / 4, 0, 0), (0.8, 0.6, 0)]
+    )
+    def test_a_wall_against_the_lattice_leaks_little(self, angles):
+        share = self.share(turned(square(40), angles) + 0.3)
+        through = (1 - share.astype(float)).prod(axis=2)[5:11, 5:11]
+        assert through.mean() < 0.06
+
+    def test_a_small_sheet_stops_what_it_shows_to_light_that_faces_it(self):
+        assert self.share(0.25 * square() + 0.5)[8, 8, 8] == pytest.approx(0.25, rel=1e-3)
+
+    def test_a_body_is_full_inside(self):
+        share = self.share(3 * triangles_of(add_sphere()), closed=True)
+        assert share[8, 8, 8] == share[6, 8, 8] == 1
+        assert share[2, 8, 8] == share[13, 13, 8] == 0
+
+    @pytest.mark.parametrize("radius", [0.05, 0.2])
+    def test_a_thin_body_stops_what_it_shows_on_average(self, radius):
+        """S/4 of a rod, of the 3/2 that a voxel shows."""
+        bpy.ops.mesh.primitive_cylinder_add(radius=radius, depth=10)
+        rod = turned(triangles_of(bpy.context.object), (0.4, 0.3, 0.2)) + 0.3
+        stopped = self.share(rod, closed=True).sum() * 1.5
+        assert stopped == pytest.approx(2 * np.pi * radius * 10 / 4, rel=0.1)
+
+    def test_walls_of_what_has_no_inside_stop_light_themselves(self):
+        """A pipe that is wide, and open at both ends."""
+        bpy.ops.mesh.primitive_cylinder_add(radius=8.3, depth=20, end_fill_type="NOTHING")
+        pipe = triangles_of(bpy.context.object) + 0.1
+        domain = Domain((-16, -16, -16), 1.0, (32, 32, 32))
+        share = voxelize.opaque_share(pipe, np.full(len(pipe), True), domain)
+        assert share[16, 16, 16] == 0
+        assert np.all((1 - share[:16, 16, 12:20]).prod(axis=0) < 0.05)
+
+    def test_outside_of_the_domain(self):
+        assert not self.share(square() + 20).any()
 
 
 class TestSolidFraction:

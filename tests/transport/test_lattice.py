@@ -15,7 +15,7 @@ from lb_lighting.transport.lattice import (
     diffusion_coefficient,
 )
 from lb_lighting.transport.medium import PRESETS
-from lb_lighting.transport.reference import step
+from lb_lighting.transport.paper_numpy import step
 
 
 def test_directions_are_the_19_nearest():

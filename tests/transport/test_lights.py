@@ -471,3 +471,33 @@ def grey_emission():
 def test_bands_that_are_multiples_are_known(lights, expected):
     found = multiple(lights, MEDIUM, 1, 0)
     assert found == (None if expected is None else pytest.approx(expected, rel=1e-6))
+
+
+@every_light
+def test_rays_are_the_same_light_every_time(light):
+    strongest, pieces = light.rays(MEDIUM, 0, 12)
+    rays = [np.concatenate(parts) for parts in zip(*pieces, strict=True)]
+    _, directions, power = rays
+    assert power.min() >= 0
+    assert power.max() == pytest.approx(strongest)
+    assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
+    if not isinstance(light, Emission):  # whose rays gather their power on their way
+        expected = emitted(light)[2].sum()
+        assert power.sum() == pytest.approx(expected, rel=5e-3)
+    again = [np.concatenate(parts) for parts in zip(*light.rays(MEDIUM, 0, 12)[1], strict=True)]
+    for first, second in zip(rays, again, strict=True):
+        assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("per_edge", range(1, 12))
+def test_a_sun_sends_as_many_rays_into_each_column(per_edge):
+    _, pieces = Sun((0, 0, 3), 1.0).rays(MEDIUM, 0, per_edge)
+    origins, _, _ = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    columns = np.floor((origins[:, :2] - LOWER[:2]) / MEDIUM.voxel_size).astype(int)
+    found, counts = np.unique(columns, axis=0, return_counts=True)
+    assert len(found) == SHAPE[0] * SHAPE[1]
+    assert np.all(counts == counts[0])
+    assert per_edge**2 <= counts[0] <= per_edge**2 + 5
+    for axis in range(2):  # all different, and evenly spaced
+        places = np.sort((origins[: counts[0], axis] - LOWER[axis]) / MEDIUM.voxel_size % 1)
+        assert places == pytest.approx((np.arange(counts[0]) + 0.5) / counts[0])

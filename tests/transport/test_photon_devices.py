@@ -36,6 +36,14 @@ def lumpy(seed=0, shape=SHAPE, **options):
     return Medium(density, H, 1.6, 0.4, 0.7, origin=(-0.5, -0.2, -0.3), **options)
 
 
+def among_opaque():
+    """Lumpy, with voxels that stop some light or all of it and reflect from none to all of it."""
+    rng = np.random.default_rng(7)
+    occlusion = rng.choice([0, 0.4, 1], SHAPE, p=[0.6, 0.25, 0.15])
+    albedo = rng.choice([0, 0.5, 1], (1, *SHAPE))
+    return lumpy(occlusion=occlusion, occlusion_albedo=albedo)
+
+
 def noise(**options):
     return PerlinMedium(16, 1.5, 4.0, 1.0, -0.5, cutoff=0.3, **options)
 
@@ -92,10 +100,24 @@ def test_kernel_follows_its_twin_in_noise(found, sampler, assert_twins):
 
 @on_every_device
 @pytest.mark.parametrize(
-    "options", [{"handover": 1}, {"handover": 2}, {"spacing": 0.37}, {"most_steps": 3}], ids=str
+    "options",
+    [{"handover": 1}, {"handover": 2}, {"spacing": 0.37}, {"most_steps": 3}, {"direct": False}],
+    ids=str,
 )
 def test_kernel_follows_its_twin_to_the_end(found, options, assert_twins):
     assert_twins(lumpy(), found, **options)
+
+
+@on_every_device
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_kernel_follows_its_twin_among_opaque_voxels(found, sampler, assert_twins):
+    assert_twins(among_opaque(), found, sampler=sampler, supervoxel=3)
+
+
+@on_every_device
+@pytest.mark.parametrize("options", [{"handover": 2, "direct": False}, {"most_steps": 3}], ids=str)
+def test_kernel_follows_its_twin_to_the_end_among_opaque_voxels(found, options, assert_twins):
+    assert_twins(among_opaque(), found, **options)
 
 
 @on_every_device
@@ -128,10 +150,13 @@ def test_new_densities_and_noises_need_no_new_program(found):
     options = {"photons": 100, "device": found.label}
     trace(lumpy(), LIGHTS, **options)
     trace(noise(), LIGHTS, **options)
+    trace(among_opaque(), LIGHTS, **options)
     built = device.program.cache_info().misses
     trace(lumpy(seed=1), LIGHTS, **options)
     trace(lumpy(seed=2, shape=(4, 9, 3)), LIGHTS, **options)
     trace(lumpy(), LIGHTS[:1], seed=8, spacing=0.5, handover=2, most_steps=99, **options)
+    walls = np.eye(5)[:, :, None] * np.ones(4)
+    trace(Medium(walls, H, 1.0, 1.0, occlusion=walls / 2, occlusion_albedo=0.3), LIGHTS, **options)
     for changed in ({"time": 0.5}, {"time": 7.0}, {"seed": 9}):
         trace(noise(**changed), LIGHTS, **options)
     trace(PerlinMedium(32, 9.0, (1.0, 3.0), 0.5, 0.2, power=3.0), LIGHTS, **options)
@@ -198,9 +223,9 @@ def test_bound_that_is_too_low_is_refused(found, monkeypatch):
         trace(lumpy(), LIGHTS, 1000, device=found)
 
 
-def test_occlusion_is_refused():
-    with pytest.raises(MediumError, match="opaque"):
-        trace(lumpy(occlusion=np.zeros(SHAPE)), LIGHTS, 10)
+def test_interpolated_density_among_opaque_voxels_is_refused():
+    with pytest.raises(MediumError, match="interpolat"):
+        trace(among_opaque(), LIGHTS, 10, interpolation="linear")
 
 
 def test_no_lights_are_refused():

@@ -97,10 +97,30 @@ def test_spacing_of_scores_changes_nothing_but_the_noise(spacing):
     assert (field.variance.mean() < other.variance.mean()) == (spacing < 1)
 
 
-def test_variance_is_that_of_other_seeds():
+def test_direct_light_can_be_left_out():
+    """What is left is the same, and so is what is handed over."""
+    field = trace(patchy(), [SUN, Sky(0.1)], 100_000, seed=3, direct=False)
+    assert_same_light(field, reference())
+    assert not field.direct.any()
+    assert field.report.photons == pytest.approx(100_000, rel=0.01)
+    handed = [
+        [
+            trace(patchy(), [SUN], 4096, seed=seed, direct=direct, handover=2).handed.power[0]
+            for seed in seeds
+        ]
+        for direct, seeds in ((False, range(24)), (True, range(30, 54)))
+    ]
+    one, other = np.array(handed, float)
+    error = np.sqrt((one.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / 24)
+    assert_near(one.mean(axis=0) - other.mean(axis=0), error, 23)
+    assert field.report.bytes < reference().report.bytes
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_variance_is_that_of_other_seeds(direct):
     """The spread of independent traces over the mean of the variances they tell: chi^2."""
     medium, seeds = patchy(), 60
-    fields = [trace(medium, [SUN], 1024, seed=seed) for seed in range(seeds)]
+    fields = [trace(medium, [SUN], 1024, seed=seed, direct=direct) for seed in range(seeds)]
     spread = np.var([field.fluence for field in fields], axis=0, ddof=1)
     ratio = spread / np.mean([field.variance for field in fields], axis=0, dtype=float)
     # Wilson and Hilferty 1931; Bonferroni, as voxels that share photons depend on each other.
@@ -117,10 +137,12 @@ def test_one_photon_tells_no_variance():
     assert np.all(np.isinf(field.variance))
 
 
+@pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.parametrize("photons", [1, 2, 31, 33, 1000])
-def test_any_number_of_photons_carries_all_power(photons):
-    report = trace(patchy(), [Sky(0.5)], photons).report
-    assert abs(report.photons - photons) <= 16
+def test_any_number_of_photons_carries_all_power(photons, direct):
+    report = trace(patchy(), [Sky(0.5)], photons, direct=direct).report
+    # Without direct light every batch has four paths or more.
+    assert abs(report.photons - photons) <= (16 if direct else 4 * 32)
     edges = np.multiply(SHAPE, H)
     entered = np.pi * 0.5 * 2 * (edges.prod() / edges).sum()
     assert report.energy["entered"][0] == pytest.approx(entered, rel=1e-5)

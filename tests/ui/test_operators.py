@@ -37,6 +37,8 @@ class TestProperties:
             "grid": "smoke",
             "mode": "ADD",
             "strength": 0.5,
+            "model": "paper",
+            "handover": 2.0,
             "keep_absorbed": True,
             "device": "GPU",
             "folder": str(tmp_path),

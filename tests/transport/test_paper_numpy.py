@@ -4,7 +4,7 @@
 import numpy as np
 
 from lb_lighting.transport.lattice import DIRECTIONS, WEIGHTS, collision_matrix
-from lb_lighting.transport.reference import set_initial_light, step
+from lb_lighting.transport.paper_numpy import set_initial_light, step
 
 SHAPE = (6, 5, 7)
 INFLOW = np.linspace(0, 1, 19)

@@ -7,7 +7,7 @@ import pytest
 from lb_lighting.errors import Cancelled, DeviceError, LightError, MediumError, SettingsError
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, device, solve
 from lb_lighting.transport.lattice import UNIT
-from lb_lighting.transport.solver import boundary_inflow
+from lb_lighting.transport.paper import boundary_inflow
 
 SHAPE = (8, 9, 10)
 DOWN = Sun((0, 0, -1), 2.0)
@@ -18,8 +18,8 @@ def cloud(sigma_s=0.792, sigma_a=0.008, g=0.9, **extra):
     return Medium(density, 1.0, sigma_s, sigma_a, g, **extra)
 
 
-def solved(medium, lights=(DOWN,), **settings):
-    return solve(medium, lights, Settings(**settings), device="NumPy")
+def solved(medium, lights=(DOWN,), progress=None, cancel=None, **settings):
+    return solve(medium, lights, Settings("paper", **settings), "NumPy", progress, cancel)
 
 
 def test_sun_enters_in_proportion_to_positive_dot_products():
@@ -120,14 +120,14 @@ def test_report_says_what_ran():
 
 def test_progress_rises_to_one():
     heard = []
-    solve(cloud(), [DOWN], device="NumPy", progress=lambda stage, share: heard.append(share))
+    solved(cloud(), progress=lambda stage, share: heard.append(share))
     assert heard == sorted(heard)
     assert heard[-1] == 1
 
 
 def test_cancel_ends_the_solve():
     with pytest.raises(Cancelled):
-        solve(cloud(), [DOWN], device="NumPy", cancel=lambda: True)
+        solved(cloud(), cancel=lambda: True)
 
 
 @pytest.mark.parametrize("excess", [2.001, 3.0])
@@ -142,7 +142,7 @@ def test_unstable_media_are_refused(excess):
     [
         ({"model": "exact"}, "no model called 'exact'"),
         ({"kernel": "fast"}, "no kernel"),
-        ({"steps": 0}, "1 or more"),
+        ({"steps": 0}, "from 1 to"),
     ],
 )
 def test_bad_settings_are_refused(settings, words):

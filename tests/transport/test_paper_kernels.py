@@ -7,8 +7,8 @@ import pytest
 from lb_lighting.errors import DeviceError
 from lb_lighting.transport import Medium, Settings, Sky, Sun, device, solve
 from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper import PaperLattice
-from lb_lighting.transport.reference import ReferenceLattice
+from lb_lighting.transport.paper_opencl import PaperLattice
+from lb_lighting.transport.paper_numpy import PaperReference
 from lb_lighting.transport.solver import KERNELS
 
 OPENCL = [found for found in device.devices() if found.kind != "NumPy"]
@@ -42,7 +42,7 @@ def test_kernel_follows_the_reference(found, kernel, keep_absorbed, occluded, sh
     medium = random_medium(shape, occluded=occluded)
     inflow, omega = np.linspace(0, 1, 19), collision_matrix(0.792, 0.108, 0.6)
     lattices = (
-        ReferenceLattice(medium, keep_absorbed),
+        PaperReference(medium, keep_absorbed),
         PaperLattice(medium, keep_absorbed, found, kernel),
     )
     for lattice in lattices:
@@ -56,15 +56,15 @@ def test_kernel_follows_the_reference(found, kernel, keep_absorbed, occluded, sh
 
 @pytest.mark.parametrize("found", OPENCL, ids=lambda found: found.platform.split(",")[0])
 def test_device_asked_for_is_the_device_used(found):
-    field = solve(random_medium((5, 6, 7)), [Sky(1)], device=found.label)
+    field = solve(random_medium((5, 6, 7)), [Sky(1)], Settings("paper"), device=found.label)
     assert field.report.device == found.label
 
 
 @pytest.mark.parametrize("found", OPENCL, ids=lambda found: found.platform.split(",")[0])
 def test_whole_solve_agrees_with_numpy(found):
     medium, lights = random_medium((12, 9, 17)), [Sun((0.3, 0.2, -0.9), 3.0), Sky(0.1)]
-    expected = solve(medium, lights, device="NumPy")
-    field = solve(medium, lights, Settings(kernel="coalesced"), device=found.label)
+    expected = solve(medium, lights, Settings("paper"), device="NumPy")
+    field = solve(medium, lights, Settings("paper", kernel="coalesced"), device=found.label)
     assert relative(field.fluence, expected.fluence) <= 1e-5
     assert relative(field.flux, expected.flux) <= 1e-5
 
@@ -92,8 +92,8 @@ def test_stripes_too_long_for_the_device(found):
     """The final kernel copes with them; the coalesced one, which needs them whole, says so."""
     longest = device.queue(found).device.max_work_group_size
     medium = random_medium((3, 3, longest + 8))
-    field = solve(medium, [Sky(1)], Settings(steps=3), device=found.label)
-    expected = solve(medium, [Sky(1)], Settings(steps=3), device="NumPy")
+    field = solve(medium, [Sky(1)], Settings("paper", steps=3), device=found.label)
+    expected = solve(medium, [Sky(1)], Settings("paper", steps=3), device="NumPy")
     assert relative(field.fluence, expected.fluence) <= 1e-5
     with pytest.raises(DeviceError, match="use the final kernel"):
-        solve(medium, [Sky(1)], Settings(steps=3, kernel="coalesced"), device=found.label)
+        solve(medium, [Sky(1)], Settings("paper", steps=3, kernel="coalesced"), device=found.label)

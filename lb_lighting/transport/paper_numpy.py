@@ -45,8 +45,8 @@ def set_initial_light(f, inflow):
     f[:, 1:-1, 1:-1, 1:-1] = 0
 
 
-class ReferenceLattice:
-    """The lattice of one medium in NumPy, used just as `paper.PaperLattice`."""
+class PaperReference:
+    """The lattice of one medium in NumPy, used just as `paper_opencl.PaperLattice`."""
 
     def __init__(self, medium, keep_absorbed):
         self.density = medium.density.astype(float)

@@ -1,0 +1,277 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// One step of the physical lattice, and its read-out. transport/physical_numpy.py is the twin and
+// says what the quantities are.
+//
+// The light of direction m lies at m * STRIDE + GUARD on, voxel by voxel, z fastest, so that the
+// voxel upstream is always a fixed number of floats away; what is read beyond the domain's faces
+// is other light, or the guard, and is not used.
+//
+// Built with NX, NY, NZ, STRIDE, GUARD, the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH,
+// SECOND_MOMENT and REFLECTED, LONGEST (edge, voxels), and OCCLUSION where there is any.
+
+#define VOXELS ((size_t)NX * NY * NZ)
+#define DIAGONAL 1.41421356f
+#define DIRECTIONS 18
+
+// Pairs of opposite directions: their numbers, the components of the first, its kind.
+#define FOR_EACH_AXIS(DO) DO(0, 1, 1, 0, 0) DO(2, 3, 0, 1, 0) DO(4, 5, 0, 0, 1)
+#define FOR_EACH_DIAGONAL(DO)                                                              \
+    DO(6, 9, 1, 1, 0)                                                                      \
+    DO(7, 8, 1, -1, 0)                                                                     \
+    DO(10, 13, 1, 0, 1)                                                                    \
+    DO(11, 12, 1, 0, -1)                                                                   \
+    DO(14, 17, 0, 1, 1)                                                                    \
+    DO(15, 16, 0, 1, -1)
+#define FOR_EACH_PAIR(DO) FOR_EACH_AXIS(DO) FOR_EACH_DIAGONAL(DO)
+
+// The medium and the source, and where the light is.
+#define PARAMETERS                                                                         \
+    __global const float *light, __global const float *depths, __global const float *power, \
+        __global const float *drift, __global const float *occlusion,                      \
+        __global const float *occlusion_albedo, const float first, const float second,     \
+        const float loss
+
+typedef struct {
+    float even, odd, absorbed; // shares that a step changes
+    float drifted, lingered;   // length of the voxel that counts, for the drift and the fluence
+} Rates;
+
+// Of light that crosses `length` of a voxel.
+inline Rates rates(const float length, const float depth, const float first, const float second,
+                   const float loss)
+{
+    const float crossed = length * depth;
+    const float t = crossed * first, a = crossed * loss;
+    Rates r;
+    r.odd = 1.0f / (1.0f / t + 0.5f);
+    r.even = 1.0f / (1.0f / (crossed * second) + fmin(0.125f * t, 0.5f) + 0.5f);
+    r.absorbed = 1.0f / (1.0f / a + 0.5f);
+    r.drifted = length / (1.0f + 0.5f * t);
+    r.lingered = length / (1.0f + 0.5f * a);
+    return r;
+}
+
+// The share of light leaving the domain from a voxel that comes back.
+inline float returned(const float depth, const float first)
+{
+    return REFLECTED / (1.0f + 1.0f / (LONGEST * depth * first));
+}
+
+// Whether the voxel that lies (cx, cy, cz) upstream of (x, y, z) is in the domain.
+inline int is_inside(const int x, const int y, const int z, const int cx, const int cy,
+                     const int cz)
+{
+    return (cx == 0 || (cx > 0 ? x > 0 : x < NX - 1)) &&
+           (cy == 0 || (cy > 0 ? y > 0 : y < NY - 1)) &&
+           (cz == 0 || (cz > 0 ? z > 0 : z < NZ - 1));
+}
+
+#define STEP(cx, cy, cz) (((cx) * NY + (cy)) * NZ + (cz))
+
+// What flows into a voxel along m, from the voxel upstream.
+inline float inflow(__global const float *light, __global const float *occlusion,
+                    const size_t voxel, const int inside, const float share, const int m,
+                    const int back, const int step)
+{
+    if (!inside)
+        return share * light[back * STRIDE + GUARD + voxel];
+    const float arriving = light[m * STRIDE + GUARD + voxel - step];
+#ifdef OCCLUSION
+    return arriving * (1.0f - occlusion[voxel]);
+#else
+    return arriving;
+#endif
+}
+
+#define PULL(m, back, cx, cy, cz)                                                          \
+    f[m] = inflow(light, occlusion, voxel, is_inside(x, y, z, cx, cy, cz), share, m, back, \
+                  STEP(cx, cy, cz));                                                       \
+    f[back] = inflow(light, occlusion, voxel, is_inside(x, y, z, -(cx), -(cy), -(cz)),     \
+                     share, back, m, STEP(-(cx), -(cy), -(cz)));
+
+// What opaque voxels around a voxel send back into it goes off evenly away from all of them.
+#ifdef OCCLUSION
+#define MEET(m, inside, step)                                                              \
+    if (inside) {                                                                          \
+        away[m] = occlusion[voxel - (step)] * occlusion_albedo[voxel - (step)];            \
+    } else {                                                                               \
+        away[m] = 0.0f;                                                                    \
+    }
+#define MEET_PAIR(m, back, cx, cy, cz)                                                     \
+    MEET(m, is_inside(x, y, z, cx, cy, cz), STEP(cx, cy, cz))                              \
+    MEET(back, is_inside(x, y, z, -(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))         \
+    reflected += away[m] * light[back * STRIDE + GUARD + voxel];                           \
+    reflected += away[back] * light[m * STRIDE + GUARD + voxel];
+#define ADD_AWAY(m, back, cx, cy, cz) sum += away[m] + away[back];
+#define SEND_BACK(m, back, cx, cy, cz)                                                     \
+    f[m] += away[m] * density;                                                             \
+    f[back] += away[back] * density;
+#define REFLECT                                                                            \
+    {                                                                                      \
+        float away[DIRECTIONS], reflected = 0.0f, sum = 0.0f;                              \
+        FOR_EACH_PAIR(MEET_PAIR)                                                           \
+        FOR_EACH_AXIS(ADD_AWAY)                                                            \
+        const float along_axes = sum;                                                      \
+        sum = 0.0f;                                                                        \
+        FOR_EACH_DIAGONAL(ADD_AWAY)                                                        \
+        const float total = W_AXIS * along_axes + W_DIAGONAL * sum;                        \
+        if (total > 0.0f) {                                                                \
+            {                                                                              \
+                const float density = W_AXIS * (reflected / total);                        \
+                FOR_EACH_AXIS(SEND_BACK)                                                   \
+            }                                                                              \
+            {                                                                              \
+                const float density = W_DIAGONAL * (reflected / total);                    \
+                FOR_EACH_DIAGONAL(SEND_BACK)                                               \
+            }                                                                              \
+        }                                                                                  \
+    }
+#else
+#define REFLECT
+#endif
+
+#define LOCATE                                                                             \
+    const size_t voxel = get_global_id(0);                                                 \
+    if (voxel >= VOXELS)                                                                   \
+        return;                                                                            \
+    const int z = (int)(voxel % NZ), y = (int)(voxel / NZ % NY), x = (int)(voxel / ((size_t)NY * NZ));
+
+#define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
+
+// The density that collisions lead to, of all light f, in isotropic light of weights w.
+inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
+{
+    const float pull_axis = axis.even > 0.0f ? axis.even : 1.0f;
+    const float pull_diagonal = axis.even > 0.0f ? diagonal.even : DIAGONAL;
+    float sum = 0.0f;
+    FOR_EACH_AXIS(ADD_PAIR)
+    const float along_axes = sum;
+    sum = 0.0f;
+    FOR_EACH_DIAGONAL(ADD_PAIR)
+    return (pull_axis * along_axes + pull_diagonal * sum) /
+           (6 * W_AXIS * pull_axis + 12 * W_DIAGONAL * pull_diagonal);
+}
+
+#define COLLIDE(m, back, cx, cy, cz)                                                       \
+    {                                                                                      \
+        const float even = 0.5f * (f[m] + f[back]), odd = 0.5f * (f[m] - f[back]);         \
+        const float e = even - r.even * even + gained;                                     \
+        const float o = odd - r.odd * odd + pushed * ((cx)*gx + (cy)*gy + (cz)*gz);        \
+        next[m * STRIDE + GUARD + voxel] = e + o;                                          \
+        next[back * STRIDE + GUARD + voxel] = e - o;                                       \
+    }
+
+__kernel void update(PARAMETERS, __global float *next)
+{
+    LOCATE
+    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
+    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
+    const float share = returned(depths[voxel], first);
+    float f[DIRECTIONS];
+    FOR_EACH_PAIR(PULL)
+    REFLECT
+    const float density = isotropic(f, axis, diagonal), emitted = power[voxel] / MEAN_LENGTH;
+    const float gx = drift[voxel], gy = drift[VOXELS + voxel], gz = drift[2 * VOXELS + voxel];
+    {
+        const Rates r = axis;
+        const float gained = W_AXIS * ((r.even - r.absorbed) * density +
+                                       emitted * (1.0f - 0.5f * r.absorbed));
+        const float pushed = W_AXIS / SECOND_MOMENT * r.drifted;
+        FOR_EACH_AXIS(COLLIDE)
+    }
+    {
+        const Rates r = diagonal;
+        const float gained = W_DIAGONAL * ((r.even - r.absorbed) * density +
+                                           DIAGONAL * emitted * (1.0f - 0.5f * r.absorbed));
+        const float pushed = W_DIAGONAL / SECOND_MOMENT * r.drifted;
+        FOR_EACH_DIAGONAL(COLLIDE)
+    }
+}
+
+__kernel void read_fluence(PARAMETERS, __global float *fluence)
+{
+    LOCATE
+    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
+    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
+    const float share = returned(depths[voxel], first);
+    float f[DIRECTIONS];
+    FOR_EACH_PAIR(PULL)
+    REFLECT
+    const float density = isotropic(f, axis, diagonal), half_emitted = 0.5f * power[voxel] / MEAN_LENGTH;
+    fluence[voxel] = 6 * W_AXIS * (density + half_emitted) * axis.lingered +
+                     12 * W_DIAGONAL * (density + DIAGONAL * half_emitted) * diagonal.lingered;
+}
+
+#define ADD_FLUX(m, back, cx, cy, cz)                                                      \
+    {                                                                                      \
+        const float flow = (f[m] - f[back]) * kept +                                       \
+                           pushed * ((cx)*gx + (cy)*gy + (cz)*gz);                         \
+        jx += (cx)*flow;                                                                   \
+        jy += (cy)*flow;                                                                   \
+        jz += (cz)*flow;                                                                   \
+    }
+
+__kernel void read_flux(PARAMETERS, __global float *flux)
+{
+    LOCATE
+    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
+    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
+    const float share = returned(depths[voxel], first);
+    float f[DIRECTIONS];
+    FOR_EACH_PAIR(PULL)
+    REFLECT
+    const float gx = drift[voxel], gy = drift[VOXELS + voxel], gz = drift[2 * VOXELS + voxel];
+    float jx = 0.0f, jy = 0.0f, jz = 0.0f;
+    {
+        const float kept = 1.0f - 0.5f * axis.odd;
+        const float pushed = W_AXIS / SECOND_MOMENT * axis.drifted;
+        FOR_EACH_AXIS(ADD_FLUX)
+    }
+    {
+        const float kept = 1.0f - 0.5f * diagonal.odd;
+        const float pushed = W_DIAGONAL / SECOND_MOMENT * diagonal.drifted;
+        FOR_EACH_DIAGONAL(ADD_FLUX)
+    }
+    flux[voxel] = jx;
+    flux[VOXELS + voxel] = jy;
+    flux[2 * VOXELS + voxel] = jz;
+}
+
+// Light of one direction that leaves the domain, by the first face of those it passes, and what
+// the occluder downstream keeps of it.
+#define ADD_LOST(m, cx, cy, cz)                                                            \
+    if (is_inside(x, y, z, -(cx), -(cy), -(cz))) {                                         \
+        ADD_STOPPED(m, STEP(cx, cy, cz))                                                   \
+    } else {                                                                               \
+        const float leaving = (1.0f - share) * light[(m) * STRIDE + GUARD + voxel];    \
+        if (!is_inside(x, y, z, -(cx), 0, 0))                                              \
+            sum[(cx) > 0] += leaving;                                                      \
+        else if (!is_inside(x, y, z, 0, -(cy), 0))                                         \
+            sum[2 + ((cy) > 0)] += leaving;                                                \
+        else                                                                               \
+            sum[4 + ((cz) > 0)] += leaving;                                                \
+    }
+#ifdef OCCLUSION
+#define ADD_STOPPED(m, step)                                                               \
+    sum[6] += occlusion[voxel + (step)] * (1.0f - occlusion_albedo[voxel + (step)]) *      \
+              light[(m) * STRIDE + GUARD + voxel];
+#else
+#define ADD_STOPPED(m, step)
+#endif
+#define ADD_LOST_PAIR(m, back, cx, cy, cz)                                                 \
+    ADD_LOST(m, cx, cy, cz) ADD_LOST(back, -(cx), -(cy), -(cz))
+
+// lost  7 x NZ: through the faces -x, +x, -y, +y, -z, +z, and stopped; summed over x and y.
+__kernel void read_lost(PARAMETERS, __global float *lost)
+{
+    const int z = (int)get_global_id(0);
+    float sum[7] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    for (int x = 0; x < NX; x++)
+        for (int y = 0; y < NY; y++) {
+            const size_t voxel = ((size_t)x * NY + y) * NZ + z;
+            const float share = returned(depths[voxel], first);
+            FOR_EACH_PAIR(ADD_LOST_PAIR)
+        }
+    for (int n = 0; n < 7; n++)
+        lost[n * NZ + z] = sum[n];
+}

@@ -1,0 +1,395 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Unscattered light, exactly: rays of a light, marched through the voxels.
+
+Density is constant in a voxel, so a ray of power p that has the optical depth t in one leaves
+p (1 - exp(-t)) there (Beer and Lambert), at 1/t - 1/(exp(t) - 1) of its way on average; nothing is
+drawn at random but where a light starts. What is left to chance is where rays are: see `rays` of
+each light.
+"""
+
+from dataclasses import dataclass
+from math import factorial, prod
+
+import numpy as np
+
+from ..errors import Cancelled
+from . import device as devices
+from .lights import Emission, Sun
+
+# What a voxel's tallies and the sums of all rays count, as in kernels/direct.cl.
+_SCORE, _POSITION, _DIRECTION, _TALLIES = 0, slice(1, 4), slice(4, 7), 7
+_STOPPED, _EMITTED = 6, 7
+
+_AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
+# Rays of a light that cannot say itself how many it needs: at most; and by per_edge^2 and faces of
+# voxels on half the border.
+_MOST, _FOR_ALL = 2**22, 4
+_BORDER = 1e-6  # voxels from a face of the domain within which a ray comes from outside
+_DEEPEST = 1e30  # optical depth of a voxel that kernels still can square the edge of
+_SLOWEST = 1e-18  # a direction's component closer to zero than this is taken for this
+_THIN = 0.5  # optical depth up to which series are used
+
+
+@dataclass
+class Moments:
+    """Light of one band that met something, by voxel.
+
+    power      (nx, ny, nz) W
+    position   (3, nx, ny, nz) W m, power times the place from the voxel's centre
+    direction  (3, nx, ny, nz) W, power times the mean of its unit directions
+    """
+
+    power: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
+
+
+@dataclass
+class Cast:
+    """Where the unscattered light of one light and band goes; arrays are float32.
+
+    direct     (nx, ny, nz) W/m^2, its fluence
+    flux       (3, nx, ny, nz) W/m^2, its net flux
+    collided   `Moments` of its first collisions, before any albedo; with the directions before
+    reflected  `Moments` of what opaque matter reflects, by the voxel that it goes back into; with
+               the directions after. None without opaque voxels
+    left       (6,) W, through the faces -x, +x, -y, +y, -z, +z
+    stopped    W, what opaque matter absorbs
+    entered    W, all of it: what collided, was reflected, left or was stopped
+    """
+
+    direct: np.ndarray
+    flux: np.ndarray
+    collided: Moments
+    reflected: Moments | None
+    left: np.ndarray
+    stopped: float
+    entered: float
+
+
+@dataclass(frozen=True)
+class _Voxels:
+    """What rays meet: each (nx, ny, nz), or None.
+
+    depth       optical depth of a voxel's edge
+    occlusion   share of arriving light that is stopped
+    reflecting  share of arriving light that is reflected
+    glow        emission, from 0 to 1
+    """
+
+    depth: np.ndarray
+    occlusion: np.ndarray | None
+    reflecting: np.ndarray | None
+    glow: np.ndarray | None
+
+
+def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None):
+    """Send the unscattered light of one light and band through a medium.
+
+    medium    a `Medium`
+    light     one of `lights.py`, or anything with their `spectrum` and `emit`
+    sigma_t   extinction at density 1 to reckon with, 1/m
+    device    None for the best, a `Device`, or part of the label of one of `device.devices()`
+    per_edge  rays along a voxel's edge: see `rays` of each light
+    cancel    called without arguments; the cast ends with `Cancelled` where it returns true
+    Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
+    """
+    emission = light.spectrum[band] if isinstance(light, Emission) else None
+    voxels = _voxels(medium, band, sigma_t, emission)
+    march = _march(devices.choose(device), voxels, directed=not isinstance(light, Sun))
+    strongest, pieces = _rays(light, medium, band, per_edge)
+    # W of a ray of weight 1, the largest that there is. Rays that gather light have at most that
+    # of all the voxels that they can cross.
+    brightest = 1.0 if emission is None else float(emission.max()) * medium.voxel_size
+    unit = strongest * brightest * (1 if emission is None else sum(medium.shape))
+    entered = 0.0
+    for origins, directions, power in _gathered(pieces) if unit > 0 else ():
+        if cancel is not None and cancel():
+            raise Cancelled("Cancelled; nothing was changed.")
+        places, hit, starts, faces = enter(medium.domain, origins, directions)
+        power = power[hit]
+        entered += float(power.sum())
+        march.march(places, directions[hit], power * (brightest / unit), starts, faces)
+    tallies, reflected, sums = march.read()
+    if emission is not None and unit > 0:
+        # What rays gathered is a little off the whole, which is known.
+        entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
+        unit = entered / sums[_EMITTED]
+    toward = _toward(light) if isinstance(light, Sun) else None
+    return _cast(medium, sigma_t, unit, (tallies, reflected, sums), toward, entered)
+
+
+def plan(shape, occluded=True):
+    """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
+    voxels = prod(shape)
+    buffers = {"unscattered light": 8 * _TALLIES * voxels, "voxels": 4 * voxels}
+    if occluded:
+        buffers |= {"reflected light": 8 * _TALLIES * voxels, "opaque voxels": 8 * voxels}
+    kinds = _TALLIES * (2 if occluded else 1)
+    work = 8 * (_TALLIES + 3) * voxels
+    rays = 40 * 8 * 2 * _AT_ONCE
+    return buffers, (4 * kinds + 4) * voxels + work + rays
+
+
+def _voxels(medium, band, sigma_t, emission):
+    occlusion = reflecting = glow = None
+    if medium.occlusion is not None:
+        occlusion = medium.occlusion
+        reflecting = occlusion * medium.occlusion_albedo[band]
+    if emission is not None:
+        glow = emission / max(float(emission.max()), np.finfo(np.float32).tiny)
+    return _Voxels(np.minimum(_depth(medium, sigma_t), _DEEPEST), occlusion, reflecting, glow)
+
+
+def _depth(medium, sigma_t):
+    """(nx, ny, nz) float64, the optical depth of a voxel's edge."""
+    return float(sigma_t) * medium.voxel_size * medium.density.astype(float)
+
+
+def _march(device, voxels, directed):
+    if device.kind == "NumPy":
+        return NumpyMarch(voxels, directed)
+    from .direct_opencl import OpenclMarch  # only now: it needs pyopencl
+
+    return OpenclMarch(device, voxels, directed)
+
+
+def _rays(light, medium, band, per_edge):
+    """The rays of a light, as `rays` of `lights.py` returns them."""
+    if hasattr(light, "rays"):
+        return light.rays(medium, band, per_edge)
+    nx, ny, nz = medium.shape
+    count = min(_MOST, _FOR_ALL * per_edge**2 * (nx * ny + ny * nz + nz * nx))
+    rays = light.emit(count, medium, np.random.default_rng(0), band)
+    pieces = ([part[n : n + _AT_ONCE] for part in rays] for n in range(0, count, _AT_ONCE))
+    return float(rays[2].max()), pieces
+
+
+def _gathered(pieces):
+    """The same rays in larger pieces."""
+    waiting, count = [], 0
+    for piece in pieces:
+        waiting.append(piece)
+        count += len(piece[2])
+        if count >= _AT_ONCE:
+            yield [np.concatenate(parts) for parts in zip(*waiting, strict=True)]
+            waiting, count = [], 0
+    if waiting:
+        yield [np.concatenate(parts) for parts in zip(*waiting, strict=True)]
+
+
+def enter(domain, origins, directions):
+    """Where rays ((n, 3) m, world space, and (n, 3)) begin their way through the domain's voxels.
+
+    Returns ((m, 3) the places in their first voxels, from 0 where a ray that goes this way enters
+    to 1 where it leaves; which (n,) rays these are; (m,) the voxels; (m,) the faces of the domain
+    -x, +x, -y, +y, -z, +z that they come through, or -1 where they begin inside).
+    """
+    shape = np.array(domain.shape)
+    points = (origins - domain.origin) / domain.voxel_size
+    forward = directions >= 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        begin = (np.where(forward, 0, shape) - points) / directions
+        end = (np.where(forward, shape, 0) - points) / directions
+    level = directions == 0  # such a ray is between two faces for ever, or never
+    begin[level] = -np.inf
+    end[level] = np.where((points >= 0) & (points <= shape), np.inf, -np.inf)[level]
+    axis = begin.argmax(axis=1)
+    rays = np.arange(len(axis))
+    begin = begin[rays, axis]
+    outside = begin >= -_BORDER
+    hit = np.maximum(begin, 0) < end.min(axis=1)
+
+    points += np.maximum(begin, 0)[:, None] * directions
+    side = ~forward[rays, axis]
+    points[rays[outside], axis[outside]] = (side * shape[axis])[outside]
+    cells = np.clip(np.floor(points), 0, shape - 1)
+    places = np.clip(points - cells, 0, 1)
+    places = np.where(forward, places, 1 - places)
+    cells = cells.astype(np.int64)
+    starts = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
+    faces = np.where(outside, 2 * axis + side, -1)
+    return places[hit], hit, starts[hit], faces[hit]
+
+
+def _toward(sun):
+    return np.divide(sun.direction, np.linalg.norm(sun.direction))
+
+
+def _cast(medium, sigma_t, unit, scores, toward, entered):
+    """The `Cast` of what a march has read; `toward` where all its rays have that direction."""
+    tallies, reflected, sums = scores
+    h, depth = medium.voxel_size, _depth(medium, sigma_t)
+    score = tallies[_SCORE]
+    directed = toward[:, None, None, None] * score if toward is not None else tallies[_DIRECTION]
+    shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, depth)
+    moments = (colliding * score, (colliding * h) * tallies[_POSITION], colliding * directed)
+    collided = Moments(*(v.astype(np.float32) for v in moments))
+    direct, flux = ((shining * v).astype(np.float32) for v in (score, directed))
+    returned = None
+    if reflected is not None:
+        scales = (unit, unit * h, unit)
+        parts = (reflected[_SCORE], reflected[_POSITION], reflected[_DIRECTION])
+        returned = Moments(
+            *((u * v.astype(float)).astype(np.float32) for u, v in zip(scales, parts, strict=True))
+        )
+    left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
+    return Cast(direct, flux, collided, returned, left, stopped, entered)
+
+
+class NumpyMarch:
+    """Rays through voxels in float64, the twin of kernels/direct.cl: see there.
+
+    directed  whether the rays have different directions, which must be tallied then
+    """
+
+    def __init__(self, voxels, directed):
+        self.voxels, self.directed = voxels, directed
+        self.shape = voxels.depth.shape
+        self.tallies = np.zeros((_TALLIES if directed else _TALLIES - 3, voxels.depth.size))
+        self.reflected = None
+        if voxels.occlusion is not None:
+            self.reflected = np.zeros((_TALLIES, voxels.depth.size))
+        self.sums = np.zeros(_EMITTED + 1)
+
+    def read(self):
+        """(tallies, reflected, sums), in weights: as in kernels/direct.cl, by kind and voxel.
+
+        reflected is None without opaque voxels.
+        """
+        reflected = None if self.reflected is None else self.reflected.reshape(-1, *self.shape)
+        return self.tallies.reshape(-1, *self.shape), reflected, self.sums
+
+    def march(self, places, directions, weights, starts, faces):
+        """Send rays.
+
+        places, starts, faces  (n, 3), (n,) and (n,) as `enter` returns them
+        directions             (n, 3) unit vectors
+        weights                (n,) from 0 to 1; with a glow, what a ray gathers in a voxel's edge
+        """
+        gathered = np.zeros_like(weights)
+        if self.voxels.glow is not None:
+            weights, gathered = gathered, weights
+        weights = weights - self._stop_at_border(weights, starts, faces)
+        ahead = np.stack(np.unravel_index(starts, self.shape), axis=1)
+        ahead = np.where(directions < 0, ahead, np.array(self.shape) - 1 - ahead)
+        rays = (places, directions, weights, gathered, starts, ahead)
+        while len(rays[0]):
+            rays = self._cross(*rays)
+
+    def _stop_at_border(self, weights, starts, faces):
+        """What of light from outside the first voxels stop; what they reflect leaves again."""
+        if self.reflected is None:
+            return 0.0
+        stopped = np.where(faces >= 0, weights * self.voxels.occlusion.flat[starts], 0)
+        back = np.where(faces >= 0, weights * self.voxels.reflecting.flat[starts], 0)
+        self.sums[:_STOPPED] += np.bincount(np.maximum(faces, 0), back, _STOPPED)
+        self.sums[_STOPPED] += (stopped - back).sum()
+        return stopped
+
+    def _cross(self, places, directions, weights, gathered, at, ahead):
+        """Take rays through a voxel each; those that are still in the domain."""
+        speed = np.maximum(np.abs(directions), _SLOWEST)
+        ways = (1 - places) / speed
+        axis = ways.argmin(axis=1)
+        rays = np.arange(len(axis))
+        way = ways[rays, axis]
+        weights = self._score(places, directions, weights, gathered, at, way)
+
+        places = np.minimum(places + way[:, None] * speed, 1)
+        places[rays, axis] = 1
+        ahead = ahead.copy()
+        ahead[rays, axis] -= 1
+        sign = np.where(directions < 0, -1, 1)[rays, axis]
+        leaving = ahead[rays, axis] < 0
+        through = 2 * axis + (sign > 0)
+        self.sums[:_STOPPED] += np.bincount(through[leaving], weights[leaving], _STOPPED)
+
+        on = ~leaving
+        strides = np.array((self.shape[1] * self.shape[2], self.shape[2], 1))
+        following = at + sign * strides[axis]
+        if self.reflected is not None:
+            stopped = self._stop(
+                places[on], directions[on], weights[on], at[on], following[on], axis[on]
+            )
+            weights = weights.copy()
+            weights[on] -= stopped
+        places[rays, axis] = 0
+        return tuple(v[on] for v in (places, directions, weights, gathered, following, ahead))
+
+    def _score(self, places, directions, weights, gathered, at, way):
+        """Tally the rays' ways through their voxels; their weights after it."""
+        edge = self.voxels.depth.flat[at]
+        depth = edge * way
+        through, mean, lost, place = fade(depth)
+        total = weights * np.where(edge > 1, 1 - through, way * mean)
+        along = total * way * place
+        weights = weights * through
+        if self.voxels.glow is not None:
+            fresh = gathered * self.voxels.glow.flat[at] * way
+            own = fresh * np.where(edge > 1, 1 - mean, way * lost)
+            total = total + own
+            along = along + own * way * _own_place(depth, mean, place)
+            weights = weights + fresh * mean
+            self.sums[_EMITTED] += fresh.sum()
+        sign = np.where(directions < 0, -1, 1)
+        position = sign * (total[:, None] * (places - 0.5)) + along[:, None] * directions
+        self._add(self.tallies, _SCORE, at, total)
+        for n in range(3):
+            self._add(self.tallies, _POSITION.start + n, at, position[:, n])
+            if self.directed:
+                self._add(self.tallies, _DIRECTION.start + n, at, total * directions[:, n])
+        return weights
+
+    def _stop(self, places, directions, weights, at, following, axis):
+        """What the next voxels stop, (n,), after what they reflect is tallied."""
+        stopped = weights * self.voxels.occlusion.flat[following]
+        back = weights * self.voxels.reflecting.flat[following]
+        sign = np.where(directions < 0, -1, 1)
+        self._add(self.reflected, _SCORE, at, back)
+        for n in range(3):
+            position = back * sign[:, n] * (places[:, n] - 0.5)
+            self._add(self.reflected, _POSITION.start + n, at, position)
+            normal = np.where(axis == n, -sign[:, n], 0)
+            self._add(self.reflected, _DIRECTION.start + n, at, 2 / 3 * back * normal)
+        self.sums[_STOPPED] += (stopped - back).sum()
+        return stopped
+
+    def _add(self, tallies, kind, at, scores):
+        tallies[kind] += np.bincount(at, scores, tallies.shape[1])
+
+
+def fade(depth):
+    """How light fades over optical depths (n,), all finite down to a depth of 0.
+
+    Returns (n,) each: exp(-depth); the mean of that over the way, m = (1 - exp(-depth)) / depth;
+    (1 - m) / depth; and where on the way it collides, on average, from 0 to 1.
+    """
+    through = np.exp(-depth)
+    thin = depth < _THIN
+    t, far = np.where(thin, depth, 0), np.where(thin, 1, depth)
+    lost = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
+    mean = 1 - t * lost
+    place = _series(t, [1 / 2, -1 / 12, 0, 1 / 720, 0, -1 / 30240, 0, 1 / 1209600])
+    mean_far = -np.expm1(-far) / far
+    return (
+        through,
+        np.where(thin, mean, mean_far),
+        np.where(thin, lost, (1 - mean_far) / far),
+        np.where(thin, place, 1 / far + np.exp(-far) / np.expm1(-far)),
+    )
+
+
+def _own_place(depth, mean, place):
+    """(n,) where on a way light that starts evenly on it collides, on average, from 0 to 1."""
+    thin = depth < _THIN
+    t = np.where(thin, depth, 0)
+    # Of s (1 - exp(-t s)) over s from 0 to 1, and of 1 - exp(-t s), both by t.
+    moment = _series(t, [(-1) ** n / (factorial(n + 1) * (n + 3)) for n in range(14)])
+    share = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
+    far = (0.5 - mean * place) / np.where(thin, 1, 1 - mean)
+    return np.where(thin, moment / share, far)
+
+
+def _series(t, coefficients):
+    return np.polynomial.polynomial.polyval(t, coefficients)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays of unscattered light on an OpenCL device: kernels/direct.cl."""
+
+import numpy as np
+import pyopencl as cl
+
+from .device import context, program, queue
+
+UNIT = 2.0**30  # of a tally, in a weight of 1
+_REFLECTED, _SUMS = 7, 8  # tallies of a voxel, and sums, as in kernels/direct.cl
+_GROUP = 64  # work-items; a multiple of every vector's width
+_GROUPS_A_UNIT = 16  # so that compute units that are done early find more
+
+
+class OpenclMarch:
+    """Rays through voxels on a device; `NumpyMarch` does the same."""
+
+    def __init__(self, device, voxels, directed):
+        self.shape, self.device = voxels.depth.shape, device
+        self.context, self.queue = context(device), queue(device)
+        self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * _GROUP
+        self.kinds = 7 if directed else 4
+        occluded, emitting = voxels.occlusion is not None, voxels.glow is not None
+        defines = {"DIRECTED": directed, "OCCLUDED": occluded, "EMITTING": emitting}
+        built = program(device, "direct.cl", tuple(name for name, on in defines.items() if on))
+        self.kernel = cl.Kernel(built, "march")
+        grids = (voxels.depth, voxels.occlusion, voxels.reflecting, voxels.glow)
+        self.grids = [self._upload(np.zeros(1) if grid is None else grid) for grid in grids]
+        self.tallies = self._zeros(8 * self.kinds * voxels.depth.size)
+        self.reflected = self._zeros(8 * _REFLECTED * voxels.depth.size if occluded else 4)
+        self.sums = self._zeros(8 * _SUMS * self.items)
+
+    def march(self, places, directions, weights, starts, faces):
+        """Send rays; the arguments are those of `NumpyMarch.march`."""
+        rays = np.concatenate([places.T, directions.T, weights[None]]).astype(np.float32)
+        # A ray along a border stays on the side where it starts.
+        np.minimum(rays[:3], np.nextafter(np.float32(1), np.float32(0)), out=rays[:3])
+        heads = np.stack([starts, faces]).astype(np.int32)
+        rays_buffer, heads_buffer = self._upload(rays), self._upload(heads, np.int32)
+        self.kernel(
+            *(self.queue, (self.items,), (_GROUP,), *map(np.int32, self.shape), *self.grids),
+            *(rays_buffer, heads_buffer, np.int32(len(weights))),
+            *(self.tallies, self.reflected, self.sums),
+        )
+        self.queue.finish()
+
+    def read(self):
+        """(tallies, reflected, sums) as those of `NumpyMarch`."""
+        sums = self._read(self.sums, np.int64).reshape(-1, _SUMS).sum(axis=0) / UNIT
+        reflected = None
+        if self.reflected.size > 4:
+            reflected = self._weights(self.reflected, _REFLECTED)
+        return self._weights(self.tallies, self.kinds), reflected, sums
+
+    def _weights(self, tally, kinds):
+        """(kinds, nx, ny, nz) float32 of the two words of each tally."""
+        lower, upper = self._read(tally, np.uint32).reshape(2, *self.shape, kinds)
+        weights = np.empty((kinds, *self.shape), np.float32)
+        for kind in range(kinds):
+            whole = upper[..., kind].view(np.int32) * 2.0**32 + lower[..., kind]
+            weights[kind] = whole / UNIT
+        return weights
+
+    def _read(self, buffer, kind):
+        values = np.empty(buffer.size // np.dtype(kind).itemsize, kind)
+        cl.enqueue_copy(self.queue, values, buffer)
+        return values
+
+    def _upload(self, values, kind=np.float32):
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, kind))
+
+    def _zeros(self, size):
+        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+        cl.enqueue_fill_buffer(self.queue, buffer, np.uint32(0), 0, size)
+        return buffer

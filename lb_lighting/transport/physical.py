@@ -1,0 +1,466 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The physical model: light in SI units, split into what is exact and what the lattice carries.
+
+Unscattered light follows exact rays. What collides on them, or photons after some collisions, is
+handed to a lattice that carries scattered light alone. docs/physics.md derives the equations and
+says what they neglect.
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil, inf, isinf, prod
+
+import numpy as np
+
+from ..errors import Cancelled, LightError, MediumError
+from . import device as devices
+from . import direct, photons
+from .field import Field, Report
+from .lights import Emission, Sky, by_band, face_areas, multiple
+from .medium import repeated
+from .physical_numpy import NumpyLattice, Source
+
+# Rays along a voxel's edge; those of a sky, and of a medium that shines, go in many directions.
+_RAYS, _RAYS_OF_SKY = 6, 4
+_PHOTONS_A_VOXEL = 64
+_CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
+_CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
+_NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
+_TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
+_SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
+
+# Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
+# paths of scattering, and in diffusion lengths of absorption (docs/physics.md, "Thick voxels").
+_THICKEST, _DARKEST = 3.0, 0.9
+_MOST_PIECES = 4
+
+
+def solve(medium, lights, settings, device, clock, needed, progress, cancel):
+    """`solver.solve` by the physical model; needed is the memory that was found free, bytes."""
+    lights = list(lights)
+    pieces = settings.divide or _pieces(medium)
+    if pieces > 1:
+        medium = medium.divided(pieces)
+        lights = [_divided(light, pieces) for light in lights]
+        occluded = medium.occlusion is not None
+        needed = devices.require_memory(
+            device, medium.shape, lambda s: plan(s, settings, device, medium.bands, occluded)
+        )
+    work = _Work(settings, device, clock, progress, cancel)
+    field = work.light(medium, lights)
+    if medium.shift is not None:
+        _shift(field, medium, work)
+    if not np.any(field.report.energy["entered"]):
+        raise LightError(
+            "There is no light; add a sun, or a world with a colour that is not black."
+        )
+    # Not before: what is below zero in one voxel balances what is too much in others.
+    np.maximum(field.fluence, 0, out=field.fluence)
+    field.report.bytes, field.report.seconds = needed, clock.seconds
+    return field if pieces == 1 else _merged(field, pieces)
+
+
+def plan(shape, settings, device, bands, occluded):
+    """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
+    rays, host = direct.plan(shape, occluded)
+    if device.kind == "NumPy":
+        lattice = NumpyLattice.buffers(shape, occluded)
+    else:
+        from .physical_opencl import OpenCLLattice
+
+        lattice = OpenCLLattice.buffers(shape, occluded)
+    # One after the other, not both at once.
+    buffers = max(rays, lattice, key=lambda plan: sum(plan.values()))
+    fields = bands * (1 + 1 + 1 + 3) * 4  # fluence, direct, that by one light, flux
+    return buffers, (4 + fields) * prod(shape) + host
+
+
+def _pieces(medium):
+    """How many pieces along each edge the voxels are to be divided in.
+
+    MediumError where absorption is so strong that it would take too many.
+    """
+    density = medium.density.astype(float)
+    mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
+    depth = medium.sigma_t * medium.voxel_size * mean
+    transport = 1 - medium.albedo * medium.g
+    lengths = depth * np.sqrt(3 * (1 - medium.albedo) * transport)
+    thick = min(2, ceil(float((depth * transport).max()) / _THICKEST))
+    dark = ceil(float(lengths.max()) / _DARKEST)
+    if dark > _MOST_PIECES:
+        raise MediumError(
+            f"The medium absorbs so strongly that light fades {lengths.max():.1f} times by a "
+            f"factor of e within a voxel; raise the resolution {ceil(dark / _MOST_PIECES)} times, "
+            "or lower the density."
+        )
+    return max(1, thick, dark)
+
+
+def _divided(light, pieces):
+    shadow = getattr(light, "shadow_density", None)
+    return light if shadow is None else replace(light, shadow_density=repeated(shadow, pieces))
+
+
+def _merged(field, pieces):
+    """The field of a divided medium, in the voxels that it had before."""
+
+    def mean(values):
+        if values is None:
+            return None
+        *outer, nx, ny, nz = values.shape
+        split = (nx // pieces, pieces, ny // pieces, pieces, nz // pieces, pieces)
+        return values.reshape(*outer, *split).mean(axis=(-5, -3, -1))
+
+    domain = field.domain
+    coarse = replace(
+        domain,
+        voxel_size=domain.voxel_size * pieces,
+        shape=tuple(n // pieces for n in domain.shape),
+    )
+    variance = None if field.variance is None else mean(field.variance) / pieces**3
+    grids = {name: mean(getattr(field, name)) for name in ("fluence", "direct", "flux", "by_light")}
+    return replace(field, domain=coarse, variance=variance, handed=None, **grids)
+
+
+def _shift(field, medium, work):
+    """Add to a field what the medium radiates again in other bands than it absorbed."""
+    volume = medium.voxel_size**3
+    energy = field.report.energy
+    energy["shifted"] = np.zeros(medium.bands)
+    enough = _SHIFTED * np.sum(energy["entered"])
+    latest = field
+    while True:
+        light = latest.fluence + latest.direct
+        absorbed = medium.sigma_a[:, None, None, None] * medium.density * light  # W/m^3
+        emission = np.tensordot(medium.shift, absorbed, axes=1)
+        received = emission.sum(axis=(1, 2, 3)) * volume
+        if received.sum() <= enough:
+            return
+        given = medium.shift.sum(axis=0) * absorbed.sum(axis=(1, 2, 3)) * volume
+        energy["shifted"] += received - given
+        energy["absorbed"] -= given
+        latest = work.light(medium.altered(emission=np.maximum(emission, 0)), [])
+        _add(field, latest)
+
+
+def _add(field, more):
+    """Add light that the medium radiated again: it has not entered from anywhere."""
+    for name in ("fluence", "direct", "flux"):
+        getattr(field, name)[...] += getattr(more, name)
+    report, extra = field.report, more.report
+    report.steps += extra.steps
+    report.runs += extra.runs
+    report.residual = max(report.residual, extra.residual)
+    report.converged &= extra.converged
+    for where in ("absorbed", "left"):
+        report.energy[where] += extra.energy[where]
+
+
+@dataclass
+class _Band:
+    """The light of one band: grids, {where: W}, and how the lattice found it."""
+
+    fluence: np.ndarray
+    flux: np.ndarray
+    by_light: np.ndarray
+    energy: dict
+    residual: float = 0.0
+    steps: int = 0
+
+    @classmethod
+    def dark(cls, shape, lights):
+        energy = {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
+        return cls(np.zeros(shape), np.zeros((3, *shape)), np.zeros((lights, *shape)), energy)
+
+
+class _Handover:
+    """What is handed to the lattice of one band, added up."""
+
+    def __init__(self, medium):
+        self.voxel_size = medium.voxel_size
+        self.power = np.zeros(medium.shape)
+        self.place, self.direction = np.zeros((2, 3, *medium.shape))
+
+    def add(self, moments, share, mean_cosine):
+        """The share of `direct.Moments` that goes on, and the mean cosine that it turns by."""
+        area = self.voxel_size**2
+        self.power += moments.power * (share / area)
+        self.place += moments.position * (share / (area * self.voxel_size))
+        self.direction += moments.direction * (share * mean_cosine / area)
+
+    def source(self, transport_depth):
+        """The `Source`; transport_depth is that of a voxel's edge, (nx, ny, nz)."""
+        return Source(self.power, transport_depth * self.place + self.direction)
+
+
+@dataclass
+class _Work:
+    """How to light a medium, and where to tell of it: the arguments of `solve`."""
+
+    settings: object
+    device: object
+    clock: object
+    progress: object
+    cancel: object
+
+    def light(self, medium, lights):
+        """The `Field` of the lights and the medium's emission."""
+        shining = lights if medium.emission is None else [*lights, Emission(medium)]
+        runs = _distinct(medium, shining)
+        last = _last_collision(medium, self.settings)
+        traced = self._trace(medium, lights, last) if last > 1 else None
+        begun = _TRACING if traced else 0.0
+        field = self._dark_field(medium, len(lights))
+        field.report.runs = len(runs)
+        for number, (band, multiples) in enumerate(runs):
+            self.begun = begun + (1 - begun) * number / len(runs)
+            self.share = (1 - begun) / len(runs)
+            lit = self._band(medium, shining, band, traced)
+            for other, factor in multiples.items():
+                _take(field, lit, other, factor)
+        field.report.converged = field.report.residual <= self.settings.tolerance
+        if traced is not None:
+            field.variance = traced.variance
+        return field
+
+    def _dark_field(self, medium, lights):
+        shape, bands = medium.shape, medium.bands
+        energy = {
+            "entered": np.zeros(bands),
+            "absorbed": np.zeros(bands),
+            "left": np.zeros((bands, 6)),
+        }
+        return Field(
+            medium.domain,
+            fluence=np.zeros((bands, *shape), np.float32),
+            direct=np.zeros((bands, *shape), np.float32),
+            flux=np.zeros((bands, 3, *shape), np.float32),
+            report=Report("physical", self.device.label, energy=energy),
+            by_light=np.zeros((lights, bands, *shape), np.float32),
+        )
+
+    def _trace(self, medium, lights, last):
+        with self.clock("trace"):
+            return photons.trace(
+                medium,
+                lights,
+                self.settings.photons or _PHOTONS_A_VOXEL * prod(medium.shape),
+                # Measured to be the least noisy in a given time (docs/free-paths.md).
+                sampler="supervoxel_constant",
+                spacing=0.5,
+                direct=False,
+                seed=self.settings.seed,
+                device=self.device,
+                handover=None if isinf(last) else last,
+                progress=lambda _stage, fraction: self._tell("trace", _TRACING * fraction),
+                cancel=self.cancel,
+            )
+
+    def _band(self, medium, lights, band, traced):
+        self._tell("direct", self.begun)
+        with self.clock("direct"):
+            casts = [self._cast(medium, light, band, medium.sigma_t[band]) for light in lights]
+            lit = _Band.dark(medium.shape, len(casts))
+            if traced is None:
+                handover = self._first_collisions(medium, lights, band, casts, lit)
+            else:
+                handover = _handed_over(medium, band, traced, lit)
+            for place, unscattered in zip(lit.by_light, casts, strict=True):
+                place[...] = unscattered.direct
+        with self.clock("solve"):
+            self._scatter(medium, band, handover, lit)
+        self._tell("solve", self.begun + self.share)
+        return lit
+
+    def _tell(self, stage, fraction):
+        if self.progress is not None:
+            self.progress(stage, fraction)
+
+    def _cast(self, medium, light, band, sigma_t):
+        shadow = getattr(light, "shadow_density", None)
+        if shadow is not None:
+            medium = medium.altered(density=shadow)
+        rays = _RAYS_OF_SKY if isinstance(light, (Sky, Emission)) else _RAYS
+        return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel)
+
+    def _first_collisions(self, medium, lights, band, casts, lit):
+        """The `_Handover` of first collisions; what else they tell goes to `lit`."""
+        handover = _Handover(medium)
+        for light, unscattered in zip(lights, casts, strict=True):
+            if _is_uniform(light, medium, band):
+                self._take_missing(medium, light, band, unscattered, handover, lit)
+            else:
+                self._take_collided(medium, light, band, unscattered, handover, lit)
+        return handover
+
+    def _take_collided(self, medium, light, band, unscattered, handover, lit):
+        """Hand over the first collisions of a light."""
+        cast, share, straight = self._cast_forward(medium, light, band, unscattered)
+        handover.add(cast.collided, share, straight)
+        if cast.reflected is not None:
+            handover.add(cast.reflected, 1.0, 1.0)
+        lit.fluence += cast.direct - unscattered.direct
+        lit.flux += cast.flux - unscattered.flux
+        collided = cast.collided.power.sum(dtype=float)
+        lit.energy["entered"] += cast.entered
+        lit.energy["absorbed"] += cast.stopped + (1 - share) * collided
+        lit.energy["left"] += cast.left
+
+    def _take_missing(self, medium, sky, band, unscattered, handover, lit):
+        """Hand over what absorption takes from a uniform sky, as light that is missing.
+
+        Without absorption a uniform sky lights everything evenly, whatever scatters. What is
+        missing is light that the medium would radiate if it gave back all that it absorbs of
+        that; so a white medium is exact, and a bright one leaves the lattice little to carry.
+        """
+        radiance = float(by_band(sky.radiance, medium.bands)[band])
+        # More is an error of the rays, and would be left to less scattered light than none.
+        np.minimum(unscattered.direct, 4 * np.pi * radiance, out=unscattered.direct)
+        absorbing = medium.sigma_a[band] * medium.density
+        dark = Emission(medium.altered(emission=4 * np.pi * radiance * absorbing))
+        cast, share, straight = self._cast_forward(medium, dark, band, None)
+        handover.add(cast.collided, -share, straight)
+        lit.fluence += 4 * np.pi * radiance - cast.direct - unscattered.direct
+        lit.flux -= cast.flux + unscattered.flux
+        collided = cast.collided.power.sum(dtype=float)
+        lit.energy["absorbed"] += cast.entered - (1 - share) * collided
+        through_faces = np.pi * radiance * np.repeat(face_areas(medium.domain), 2)
+        lit.energy["entered"] += through_faces.sum()
+        lit.energy["left"] += through_faces - cast.left
+
+    def _cast_forward(self, medium, light, band, unscattered):
+        """(`direct.Cast`, share of its collisions that scatters, mean cosine of that).
+
+        The forward peak counts as unscattered: of what scatters, the share f = g^2 goes straight
+        on, and the rest has the mean cosine (g - f) / (1 - f) (Joseph, Wiscombe and Weinman, "The
+        delta-Eddington approximation for radiative flux transfer", 1976).
+
+        unscattered  the cast in which it does not, where there is one
+        """
+        albedo, g = medium.albedo[band], medium.g[band]
+        forward = max(g, 0.0) ** 2
+        cast = unscattered
+        if forward > 0 or cast is None:
+            less = medium.sigma_t[band] - forward * medium.sigma_s[band]
+            cast = self._cast(medium, light, band, less)
+        share = albedo * (1 - forward) / (1 - albedo * forward)
+        return cast, share, (g - forward) / (1 - forward)
+
+    def _scatter(self, medium, band, handover, lit):
+        """Add to the `_Band` what the lattice makes of a `_Handover`."""
+        depth = _depth(medium, medium.sigma_t[band])
+        source = handover.source(depth * (1 - medium.albedo[band] * medium.g[band]))
+        scale = float(np.abs(source.power).max())
+        if scale == 0:
+            return
+        lattice = self._lattice(medium, band, depth)
+        # In float32 light may be as dim or bright as the user likes only where it is near 1.
+        lattice.start(Source(source.power / scale, source.drift / scale))
+        lit.residual, lit.steps = self._converge(lattice)
+        fluence = lattice.fluence().astype(float)
+        lit.fluence += scale * fluence
+        lit.flux += scale * lattice.flux()
+        left, stopped = lattice.lost()
+        watts = scale * medium.voxel_size**2
+        lit.energy["left"] += watts * left
+        absorbed = np.sum(_depth(medium, medium.sigma_a[band]) * fluence)
+        lit.energy["absorbed"] += watts * (absorbed + stopped)
+
+    def _lattice(self, medium, band, depth):
+        arguments = (depth, medium.albedo[band], medium.g[band])
+        arguments += (medium.occlusion, medium.occlusion_albedo[band])
+        if self.device.kind == "NumPy":
+            return NumpyLattice(*arguments)
+        from .physical_opencl import OpenCLLattice  # only now: it needs pyopencl
+
+        return OpenCLLattice(*arguments, self.device)
+
+    def _converge(self, lattice):
+        """Step until the light is within the tolerance of what it tends to: (error, steps).
+
+        Changes shrink by a factor q from one check to the next, so that all that are still to
+        come add up to q / (1 - q) of the last.
+        """
+        tolerance, most = self.settings.tolerance, self.settings.most_steps
+        light, change, shrinking, error, steps = 0.0, None, [], 1.0, 0
+        while steps < most and error > tolerance:
+            if self.cancel is not None and self.cancel():
+                raise Cancelled("Cancelled; nothing was changed.")
+            lattice.advance(min(_CHECK_EVERY, most - steps))
+            steps = min(steps + _CHECK_EVERY, most)
+            before, light = light, lattice.fluence()
+            norm = float(np.linalg.norm(light))
+            last, change = change, float(np.linalg.norm(light - before)) / (norm or 1.0)
+            if last is not None:
+                shrinking = [*shrinking[1 - _CHECKS :], min(change / last if last else 0, _NEVER)]
+            if len(shrinking) == _CHECKS:
+                slowest = max(shrinking)
+                error = min(1.0, change * slowest / (1 - slowest))
+            reached = np.log(max(error, tolerance)) / np.log(tolerance)
+            self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))
+        return error, steps
+
+
+def _distinct(medium, lights):
+    """[(band to solve, {band: its multiple})]: bands that are multiples are solved once."""
+    runs = []
+    for band in range(medium.bands):
+        for base, multiples in runs:
+            factor = multiple(lights, medium, band, base)
+            if factor is not None and medium.alike(band, base):
+                multiples[band] = factor
+                break
+        else:
+            runs.append((band, {band: 1.0}))
+    return runs
+
+
+def _last_collision(medium, settings):
+    """The collision at which light is handed to the lattice: 1 for the first, infinity for none.
+
+    By then mean light has gone `handover` transport optical depths from its first collision.
+    """
+    if isinf(settings.handover):
+        return inf
+    collisions = settings.handover / (1 - medium.albedo * medium.g)
+    return max(settings.traced_collisions, 1 + round(float(collisions.max())))
+
+
+def _handed_over(medium, band, traced, lit):
+    """The `_Handover` of photons at their last collision; what they lit before goes to `lit`."""
+    lit.fluence += traced.fluence[band]
+    lit.flux += traced.flux[band]
+    energy = traced.report.energy
+    for where in lit.energy:
+        lit.energy[where] += energy[where][band]
+    lit.energy["absorbed"] += energy["lost"][band]
+    handover, handed = _Handover(medium), traced.handed
+    if handed is not None:
+        moments = (handed.power[band], handed.position[band], handed.direction[band])
+        handover.add(direct.Moments(*moments), 1.0, medium.g[band])
+    return handover
+
+
+def _is_uniform(light, medium, band):
+    """Whether a light is the same from everywhere, and less of it is absorbed than scattered."""
+    bright = medium.sigma_a[band] <= medium.sigma_s[band]
+    uniform = isinstance(light, Sky) and not callable(light.radiance)
+    return uniform and bright and medium.occlusion is None
+
+
+def _take(field, lit, band, factor):
+    """Put the light of a solved band, times a factor, in its place in the field."""
+    given = field.by_light.shape[0]  # behind them comes the medium's emission
+    field.by_light[:, band] = factor * lit.by_light[:given]
+    field.direct[band] = factor * lit.by_light.sum(axis=0)
+    field.fluence[band] = factor * lit.fluence
+    field.flux[band] = factor * lit.flux
+    report = field.report
+    for where, power in lit.energy.items():
+        report.energy[where][band] = factor * power
+    report.steps = max(report.steps, lit.steps)
+    report.residual = max(report.residual, lit.residual)
+
+
+def _depth(medium, sigma):
+    """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m."""
+    return (sigma * medium.voxel_size) * medium.density.astype(float)

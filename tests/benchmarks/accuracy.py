@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How right the light is: each case of `media.py` against traced photons, and what is exact.
+
+    python -m tests.benchmarks.accuracy [cases slabs furnace spread refinement rotation]
+
+measures all parts, or those named. Columns of the cases:
+
+error         relative L2 of all light, direct and scattered, with the reference's noise taken out:
+              the root of (raw error)^2 - (its standard error)^2. A hybrid's own noise is in it
+bias          the same, without the hybrid's own noise too
+ratio         mean of the light over the mean of the reference's
+worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
+              reference's light; noise is in it
+balance       |in - absorbed - out| / in
+noise         of the hybrid, as it says itself
+
+The paper's light is scaled by the factor that fits best in L2, which is told; no other light is.
+"""
+
+import sys
+
+import numpy as np
+
+from lb_lighting.transport import device
+from tests.benchmarks import grids, oracles
+from tests.benchmarks.columns import COLUMNS, all_light, imbalance, refusal, relative_noise
+from tests.benchmarks.media import main_cases
+from tests.benchmarks.references import References
+from tests.benchmarks.table import publish
+
+REACH = {"deterministic": (0.05, 0.10), "hybrid T=4": (0.02, 0.06)}  # error: mean, worst
+BALANCE = 1e-4
+
+
+def case_rows():
+    references = References()
+    for case in main_cases():
+        for column in COLUMNS:
+            field, refused = refusal(case, column)
+            row = {"case": case.name, "column": column}
+            print(f"{case.name}, {column}", flush=True)  # as some take a minute
+            if refused:
+                yield row | {"refused": refused}
+            else:
+                yield row | measured(field, references[case], scaled=column == "paper")
+
+
+def measured(field, reference, scaled):
+    """The columns of a row."""
+    light, truth = all_light(field), reference.light
+    scale = {}
+    if scaled:
+        scale["scale"] = float((light * truth).sum() / (light**2).sum())
+        light = light * scale["scale"]
+    size, noise = np.linalg.norm(truth), relative_noise(field)
+    raw = float(np.linalg.norm(light - truth) / size)
+    largest = np.sort(np.abs(light - truth), axis=None)[-truth.size // 10 :]
+    return scale | {
+        "error": without(raw, reference.error),
+        "raw": raw,
+        "bias": without(raw, np.hypot(reference.error, noise)),
+        "ratio": float(light.mean() / truth.mean()),
+        "worst decile": float(largest.mean() / truth.mean()),
+        "balance": imbalance(field),
+        "noise": noise,
+        "converged": field.report.converged,
+        "steps": field.report.steps,
+        "seconds": sum(field.report.seconds.values()),
+    }
+
+
+def without(raw, noise):
+    return float(np.sqrt(max(0.0, raw**2 - noise**2)))
+
+
+def summary(rows):
+    """A line for each column: its errors, and whether they are within reach."""
+    for column in COLUMNS:
+        of_column = [row for row in rows if row["column"] == column]
+        some = [row for row in of_column if "error" in row]
+        if not some:
+            continue
+        errors = [row["error"] for row in some]
+        worst = some[int(np.argmax(errors))]
+        line = {
+            "column": column,
+            "cases": len(some),
+            "refused": len(of_column) - len(some),
+            "mean error": float(np.mean(errors)),
+            "worst error": worst["error"],
+            "in": worst["case"],
+            "mean bias": float(np.mean([row["bias"] for row in some])),
+            "worst bias": max(row["bias"] for row in some),
+            "worst balance": max((row["balance"] or 0.0 for row in some), default=0.0),
+            "seconds": float(np.mean([row["seconds"] for row in some])),
+        }
+        if column in REACH:
+            mean, most = REACH[column]
+            line["reach"] = f"{mean:g}, {most:g}"
+            line["reached"] = line["mean error"] <= mean and line["worst error"] <= most
+            line["balanced"] = line["worst balance"] <= BALANCE
+        yield line
+
+
+def cases():
+    rows = list(case_rows())
+    yield "cases", rows
+    yield "summary", list(summary(rows))
+
+
+PARTS = {
+    "cases": cases,
+    "slabs": lambda: [("slabs", list(oracles.slab_rows()))],
+    "furnace": lambda: [("furnace", list(oracles.furnace_rows()))],
+    "spread": lambda: [("spread", list(oracles.spread_rows()))],
+    "refinement": grids.refinement,
+    "rotation": lambda: [("rotation", list(grids.rotation_rows()))],
+}
+
+
+def main(parts):
+    found = device.choose()
+    for part in parts or PARTS:
+        for name, rows in PARTS[part]():
+            publish(f"accuracy-{name}", found.label, rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

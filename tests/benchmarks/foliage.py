@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Foliage from end to end: crowns and a real tree in Cycles and in our light, and the difference.
+
+The reference is Cycles with 32 bounces, kept in build/references. Its indirect light is the
+picture less the same picture without bounces; ours is what the leaves emit. Figures are of means
+over 4x4 pixels, and for leaves of three colours at once, which are the three bands of a picture.
+"""
+
+import os
+import sys
+import zlib
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import bpy
+import numpy as np
+from PIL import Image
+
+bpy.utils.expose_bundled_modules()
+
+import lb_lighting  # noqa: E402
+from lb_lighting import bake  # noqa: E402
+from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.transport import trace  # noqa: E402
+from lb_lighting.transport.field import Report  # noqa: E402
+from tests.benchmarks import crowns  # noqa: E402
+from tests.benchmarks.table import BUILD, publish  # noqa: E402
+from tests.output.rendering import render  # noqa: E402
+
+REFERENCES = Path(__file__).parents[2] / "build" / "references"
+SIZE, BLOCK = 160, 4  # pixels: of a picture, and of what figures average over
+SAMPLES = 96  # of each of the reference's two halves
+OUR_SAMPLES = 64  # what the leaves emit has no noise but at their edges
+BOUNCES = 32
+PHOTONS = 2_000_000
+LIGHTS = {"sun": (True, False), "sun and sky": (True, True)}
+UNDER_SKY = ("5 cm leaves", "tree")  # a sky is rendered for these alone
+
+
+def main(names):
+    lb_lighting.register()
+    rows = []
+    for name in names or crowns.CASES:
+        for lights in LIGHTS:
+            if lights == "sun" or name in UNDER_SKY:
+                rows += compare(name, lights)
+    publish("foliage", rows[0]["device"], rows)
+
+
+def compare(name, lights):
+    """[row] for each solver, view and colour."""
+    case, rows = crowns.CASES[name], []
+    references = {view: reference(case, lights, view) for view in crowns.VIEWS}
+    for solver, solve in SOLVERS.items():
+        objects = build(case, lights)
+        start = perf_counter()
+        report = solve(objects, case)
+        seconds = perf_counter() - start
+        switch_lights_off()
+        for view, parts in references.items():
+            crowns.look(case, view)
+            ours = picture(0, OUR_SAMPLES)
+            save(f"{name}-{lights}-{view}-{solver}", parts, ours)
+            for band, color in enumerate(crowns.COLORS):
+                facts = {"crown": name, "lights": lights, "view": view, "leaves": color}
+                facts |= {"solver": solver, **figures(parts, ours, band)}
+                rows.append(facts | {"s": seconds, "device": report.device})
+                print(rows[-1], flush=True)
+    return rows
+
+
+def figures(parts, ours, band):
+    """{figure: value} of one band; errors are root mean squares over the blocks, relative to that
+    of the reference."""
+    full, direct = (blocks(parts[kind][..., band]) for kind in ("full", "direct"))
+    indirect, ours = full - direct, blocks(ours[..., band])
+    noise = rms(indirect[0] - indirect[1]) / 2  # of the mean of the halves
+    error = ours - indirect.mean(axis=0)
+    return {
+        "mean": float(ours.mean() / indirect.mean()),
+        "indirect": rms(error) / rms(indirect.mean(axis=0)),
+        "picture": rms(error) / rms(full.mean(axis=0)),
+        "noise": noise / rms(full.mean(axis=0)),
+        "share": float(indirect.mean() / full.mean()),
+        "direct alone": rms(indirect.mean(axis=0)) / rms(full.mean(axis=0)),
+    }
+
+
+def blocks(pictures):
+    """Means over BLOCK x BLOCK pixels of the last two axes."""
+    shape = (*pictures.shape[:-2], SIZE // BLOCK, BLOCK, SIZE // BLOCK, BLOCK)
+    return pictures.astype(float).reshape(shape).mean(axis=(-3, -1))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def by_lattice(objects, case):
+    """Light `objects` as Bake does; the `Report`."""
+    with TemporaryDirectory() as folder:
+        options = bake.Options(resolution=case.resolution, folder=folder)
+        return bake.bake(bpy.context, objects, options).field.report
+
+
+def by_photons(objects, case):
+    """The same, but with photons traced in the same medium: what is left is not the lattice's."""
+    with TemporaryDirectory() as folder:
+        options = bake.Options(resolution=case.resolution, folder=folder)
+        problem = bake.gather(bpy.context, objects, options)
+        field = trace(problem.medium, problem.lights, PHOTONS)
+        field.report = Report("photons", field.report.device)  # files cannot hold its arrays
+        bake.apply(bpy.context, problem, field, options)
+    return field.report
+
+
+SOLVERS = {"lattice": by_lattice, "photons": by_photons}
+
+
+def switch_lights_off():
+    """What then remains is emission: our light."""
+    for ob in bpy.context.scene.objects:
+        ob.hide_render = ob.type == "LIGHT"
+    background = next(n for n in bpy.context.scene.world.node_tree.nodes if n.type == "BACKGROUND")
+    background.inputs["Strength"].default_value = 0
+
+
+def save(name, parts, ours):
+    """The three bands below each other: without bounces, with ours, with all, ours less all x 4."""
+    full, direct = (parts[kind].mean(axis=0) for kind in ("full", "direct"))
+    light = np.percentile(full, 99.5, axis=(0, 1))
+    pictures = [direct, direct + ours, full, light / 2 + 4 * (direct + ours - full)]
+    row = np.concatenate(pictures, axis=1) / light
+    picture = np.concatenate(list(np.moveaxis(row[::-1], -1, 0)))
+    grey = (255 * np.clip(picture, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    BUILD.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey).save(BUILD / f"foliage-{name.replace(' ', '-')}.png")
+
+
+def reference(case, lights, view):
+    """{"full", "direct": (2, SIZE, SIZE, 3)}: both halves of the reference, from the cache or new.
+
+    full    with all bounces
+    direct  without; of the same samples, so that much of the noise is the same
+    """
+    objects = build(case, lights)
+    crowns.look(case, view)
+    REFERENCES.mkdir(parents=True, exist_ok=True)
+    path = REFERENCES / f"foliage-{_print_of(objects, case, lights, view):08x}.npz"
+    if not path.exists():
+        pictures = {
+            kind: np.stack([picture(bounces, SAMPLES, seed) for seed in (0, 1)]).astype(np.float32)
+            for kind, bounces in (("full", BOUNCES), ("direct", 0))
+        }
+        np.savez_compressed(path, **pictures)
+    return dict(np.load(path))
+
+
+def build(case, lights):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    objects = crowns.build(case)
+    crowns.light(*LIGHTS[lights])
+    return objects
+
+
+def _print_of(objects, case, lights, view):
+    """A number that changes with all that the reference depends on."""
+    facts = [*crowns.COLORS.values(), crowns.BARK, crowns.SOIL, *crowns.SUN, *crowns.VIEWS[view]]
+    facts += [crowns.IRRADIANCE, crowns.RADIANCE, LIGHTS[lights], SIZE, SAMPLES, BOUNCES]
+    found = zlib.crc32(repr((facts, case.width, case.middle)).encode())
+    for ob in objects:
+        points = np.empty(3 * len(ob.data.vertices), np.float32)
+        ob.data.vertices.foreach_get("co", points)
+        found = zlib.crc32(points.tobytes(), found)
+    return found
+
+
+def picture(bounces, samples, seed=0):
+    """(SIZE, SIZE, 3) radiance, row 0 at the bottom."""
+    scene = bpy.context.scene
+    scene.cycles.seed = seed
+    for kind in ("max", "diffuse", "glossy", "transmission"):
+        setattr(scene.cycles, f"{kind}_bounces", bounces)
+    with TemporaryDirectory() as folder, silent_stdout():
+        return render(scene, Path(folder) / "picture.exr", SIZE, samples)
+
+
+@contextmanager
+def silent_stdout():
+    """Blender prints a line a sample from C, where Python cannot catch it."""
+    kept = os.dup(1)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
+    leave(0)

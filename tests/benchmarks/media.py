@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The media and lights that accuracy is measured in: cubes, clouds, smoke, a head, a pillar.
+
+All are cubes of 1 m, but for the head. A "mean depth" is the optical depth from face to face along
+an axis, averaged over all such rays, through voids too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lb_lighting.transport import Medium, Sky, Sun
+from tests.setup import heads
+
+EDGE = 24  # voxels
+COARSE = 12  # voxels of the media that are refined
+SUN = Sun((0.3, 0.2, -0.93), 1.0)
+DEPTHS = (2, 8, 32, 128)
+ASYMMETRIES = (0, 0.85)
+ALBEDOS = (0.9, 0.99, 0.999)
+CLOUD_DEPTHS = (20, 80)
+REFINED = {"cube 8, g 0": (8, 0), "cube 32, g .85": (32, 0.85)}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A medium of one band and its lights; the group says which of the tables it belongs to."""
+
+    name: str
+    medium: Medium
+    lights: tuple
+    group: str = "main"
+
+
+def of_depth(density, depth, albedo, g, **rest):
+    """A medium with an edge of 1 m along x, of this mean depth."""
+    sigma_t = depth / float(density.mean(dtype=float))
+    return Medium(density, 1 / len(density), sigma_t * albedo, sigma_t * (1 - albedo), g, **rest)
+
+
+def cubes():
+    density = np.ones((EDGE,) * 3)
+    for depth in DEPTHS:
+        for g in ASYMMETRIES:
+            for albedo in ALBEDOS:
+                name = f"cube {depth}, g {g:g}, albedo {albedo:g}"
+                yield Case(name, of_depth(density, depth, albedo, g), (SUN,))
+
+
+def clouds():
+    density = cloud(EDGE)
+    for depth in CLOUD_DEPTHS:
+        for g in ASYMMETRIES:
+            yield Case(f"cloud {depth}, g {g:g}", of_depth(density, depth, 0.99, g), (SUN,))
+    medium = of_depth(density, 20, 0.99, 0.85)
+    yield Case("cloud 20, g 0.85, even sky", medium, (Sky(1.0),))
+    yield Case("cloud 20, g 0.85, bright zenith", medium, (Sky(bright_zenith),))
+
+
+def smoke():
+    """A plume with a hot core that glows, in the sun."""
+    x, _, z = corners(EDGE)
+    density = cloud(EDGE, seed=5) * np.exp(-z)
+    core = np.exp(-((x / 0.4) ** 2 + ((z + 0.5) / 0.3) ** 2) / 2)
+    medium = of_depth(density, 4, 0.8, 0.6, emission=20 * density * core)
+    yield Case("smoke 4, g 0.6, hot core", medium, (SUN,))
+
+
+def head():
+    """A tomography on voxels of 8 mm, whose densest voxels are 4 times the water's."""
+    size = np.multiply(heads.SLICES[::-1], (0.957, 0.957, 1.5))  # mm
+    density = heads.resampled(heads.cranium(), tuple((size / 8).round().astype(int)))
+    sigma_t = 50 / (density.mean(dtype=float) * size[0] / 1000)
+    medium = Medium(density, 0.008, 0.99 * sigma_t, 0.01 * sigma_t, 0.85)
+    yield Case("head 50, g 0.85", medium, (SUN,))
+
+
+def pillar():
+    """A cloud over opaque ground with an opaque pillar, both grey."""
+    opaque = np.zeros((EDGE,) * 3)
+    opaque[:, :, 0] = 1
+    opaque[10:14, 6:10, :12] = 1
+    medium = of_depth(cloud(EDGE), 8, 0.99, 0.5, occlusion=opaque, occlusion_albedo=0.5)
+    yield Case("pillar in a cloud 8, g 0.5", medium, (SUN, Sky(0.1)))
+
+
+def main_cases():
+    return [*cubes(), *clouds(), *smoke(), *head(), *pillar()]
+
+
+def refined_cases():
+    """Media that are constant in coarse voxels, so that finer ones hold exactly the same."""
+    even = np.ones((COARSE,) * 3)
+    for name, (depth, g) in REFINED.items():
+        yield Case(name, of_depth(even, depth, 0.99, g), (SUN,), "refined")
+    medium = of_depth(cloud(COARSE), 20, 0.99, 0.85)
+    yield Case("cloud 20, g .85", medium, (SUN,), "refined")
+
+
+# --- Shapes --------------------------------------------------------------------------------------
+
+
+def corners(n):
+    """Three (n, n, n) arrays: the centres of voxels in the cube from -1 to 1."""
+    axis = (np.arange(n) + 0.5) * 2 / n - 1
+    return np.meshgrid(axis, axis, axis, indexing="ij")
+
+
+def cloud(n, seed=2):
+    """(n, n, n) densities from 0 to 1.5: puffs on a flat base, frayed by noise; most is void."""
+    rng = np.random.default_rng(seed)
+    x, y, z = corners(n)
+    shape = np.full((n,) * 3, -np.inf)
+    for _ in range(16):
+        turn, out = rng.random(2) * (2 * np.pi, 0.7)
+        center = out * np.cos(turn), out * np.sin(turn), rng.uniform(-0.5, 0.6 - 0.7 * out)
+        radius = rng.uniform(0.35, 0.65)
+        distance = np.sqrt(sum((a - b) ** 2 for a, b in zip((x, y, z), center, strict=True)))
+        shape = np.maximum(shape, 1 - distance / radius)
+    shape = np.minimum(shape, 4 * (z + 0.8))  # the base
+    return np.clip(1.5 * shape + 0.4 * noise(n, rng), 0, 1.5)
+
+
+def noise(n, rng):
+    """(n, n, n) of mean 0 and variance 1: as turbulence has it, rough on every scale."""
+    waves = np.meshgrid(*[np.fft.fftfreq(n, 1 / n)] * 3, indexing="ij")
+    length = np.sqrt(sum(k**2 for k in waves))
+    length[0, 0, 0] = np.inf
+    # Kolmogorov's law: energy as k^(-5/3) over shells of area k^2, amplitude its root.
+    spectrum = np.fft.fftn(rng.standard_normal((n,) * 3)) * length ** (-11 / 6)
+    values = np.fft.ifftn(spectrum).real
+    return values / values.std()
+
+
+def bright_zenith(towards):
+    """W/(m^2 sr): a sky that is four times as bright overhead as at the horizon and below."""
+    return 0.25 + 0.75 * np.maximum(towards[..., 2], 0)

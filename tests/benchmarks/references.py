@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What light there is in each case of `media.py`, by traced photons.
+
+    python -m tests.benchmarks.references [NAME ...]
+
+traces those that are stored no more or that have changed (or that are named), and stores them in
+tests/references/accuracy.npz, which takes many minutes; the benchmark only reads.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from lb_lighting.transport import trace
+from tests.benchmarks.media import main_cases, refined_cases
+
+STORE = Path(__file__).parents[1] / "references" / "accuracy.npz"
+TARGETS = {"main": 0.0098, "refined": 0.004}  # relative standard error, in L2
+PHOTONS = {"main": 400_000, "refined": 200_000}  # of a seed
+FEWEST_SEEDS = 8  # for a standard error that is known to a few percent
+DIGITS = 11  # bits of a number that are kept: to 1 / 4000, far below the error
+
+
+@dataclass(frozen=True)
+class Reference:
+    """All light, (nx, ny, nz) W/m^2, and its relative standard error in L2."""
+
+    light: np.ndarray
+    error: float
+
+
+class References:
+    """The stored references: what was traced of each case, and how."""
+
+    def __init__(self):
+        self.light, self.about = {}, {}
+        if STORE.exists():
+            with np.load(STORE) as file:
+                self.about = json.loads(str(file["about"]))
+                self.light = {name: file[name] for name in self.about}
+
+    def __getitem__(self, case):
+        """The `Reference` of a case; KeyError where it is not stored, or is of another medium."""
+        if not self.holds(case):
+            raise KeyError(f"{case.name}: run python -m tests.benchmarks.references")
+        return Reference(self.light[case.name].astype(float), self.about[case.name]["error"])
+
+    def holds(self, case):
+        about = self.about.get(case.name)
+        return about is not None and np.allclose(about["medium"], facts(case.medium), rtol=1e-5)
+
+    def add(self, case, light, about):
+        self.light[case.name] = rounded(light)
+        self.about[case.name] = about | {"medium": facts(case.medium)}
+
+    def store(self):
+        STORE.parent.mkdir(exist_ok=True)
+        partial = STORE.with_name("partial.npz")  # so that nobody reads half of it
+        np.savez_compressed(partial, about=json.dumps(self.about), **self.light)
+        partial.replace(STORE)
+
+
+def facts(medium):
+    """Numbers that tell whether a medium is still the one that was traced."""
+    somewhere = np.linspace(0, 1, medium.density.size)  # so that the voxels' order counts
+    grids = (medium.density, medium.emission, medium.occlusion)
+    sums = [0.0 if grid is None else float(somewhere @ grid.ravel()) for grid in grids]
+    return [*sums, float(medium.sigma_s[0]), float(medium.sigma_a[0]), float(medium.g[0])]
+
+
+def measure(case):
+    """All light (nx, ny, nz) of a case, by as many seeds as its target needs, and how it went."""
+    start, seeds = perf_counter(), 0
+    total, squares, error = 0.0, 0.0, np.inf
+    while seeds < FEWEST_SEEDS or error > TARGETS[case.group]:
+        field = trace(
+            case.medium,
+            case.lights,
+            PHOTONS[case.group],
+            sampler="woodcock",
+            seed=seeds,
+            spacing=0.5,
+            flux=False,
+        )
+        light = (field.fluence + field.direct)[0].astype(float)
+        seeds += 1
+        total, squares = total + light, squares + light**2
+        if seeds > 1:
+            variance = (squares - total**2 / seeds).sum() / (seeds - 1)
+            error = float(np.sqrt(variance * seeds / (total**2).sum()))
+    return total / seeds, {
+        "error": error,
+        "photons": PHOTONS[case.group] * seeds,
+        "seeds": f"0 to {seeds - 1}",
+        "seconds": perf_counter() - start,
+    }
+
+
+def rounded(light):
+    """(...) float32 with `DIGITS` bits: the rest is noise, and noise cannot be compressed."""
+    mantissa, exponent = np.frexp(light)
+    return np.ldexp(np.round(mantissa * 2**DIGITS) / 2**DIGITS, exponent).astype(np.float32)
+
+
+def main(names):
+    references = References()
+    for case in [*main_cases(), *refined_cases()]:
+        if case.name in names or not references.holds(case):
+            light, about = measure(case)
+            references.add(case, light, about)
+            references.store()
+            print(f"{case.name}: {about}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
