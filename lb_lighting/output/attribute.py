@@ -9,7 +9,7 @@ from ..errors import OutputError
 
 AMBIENT_ATTRIBUTE = "lb_ambient"
 BACK_ATTRIBUTE = "lb_ambient_back"
-STAND_OFF = 0.5  # voxels in front of a wall: where its light is taken, not from its other side
+STAND_OFF = 0.75  # voxels in front of a wall: where its light is taken, not from its other side
 LEAST_OPEN = 1e-3  # share of the voxels around a point, below which it is dark
 
 
@@ -52,9 +52,7 @@ def write_ambient(objects, depsgraph, field, bodies=(), walls=(), occlusion=None
     for ob in objects:
         sharers.setdefault(ob.data, []).append(ob)
     for mesh, users in sharers.items():
-        sides = [
-            _sides(ob, depsgraph, field, ob in bodies, ob in walls, occlusion) for ob in users
-        ]
+        sides = [_sides(ob, depsgraph, field, ob in bodies, ob in walls, occlusion) for ob in users]
         for name, light in zip(
             (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), np.mean(sides, axis=0), strict=True
         ):

@@ -5,7 +5,7 @@ import bpy
 
 from .attribute import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE
 from .ours import TAG, find_ours
-from .volume import DENSITY_GRID, FLUX_GRID, LIGHT_GRID
+from .volume import AXES, DENSITY_GRID, LIGHT_GRID, flux_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
@@ -28,9 +28,9 @@ def volume_group():
 def beam_group():
     """Others + Light p: what of one light more, of mean radiance Light, is scattered to the eye.
 
-    p is the phase function of Henyey and Greenstein over that of isotropic scattering, for the
-    angle between the light's Direction and the way to the eye, band by band:
-    (1 - g^2) / (1 + g^2 - 2 g cos)^1.5.
+    p is the phase function of Henyey and Greenstein over that of isotropic scattering, band by
+    band: (1 - m^2) / (1 + m^2 - 2 m cos)^1.5, where m is G times the length of the light's mean
+    direction (X, Y, Z), and cos that of its angle to the way to the eye.
     """
     return _group(BEAM_GROUP, _build_beam)
 
@@ -69,7 +69,6 @@ def _build_volume(tree):
     group = _node(tree, "NodeGroupInput", -800, 0)
     density = _attribute(tree, DENSITY_GRID, -800, 300)
     light = _attribute(tree, LIGHT_GRID, -1200, -200).outputs["Vector"]
-    flux = _attribute(tree, FLUX_GRID, -1200, -400).outputs["Vector"]
     camera = _node(tree, "ShaderNodeLightPath", -800, -400).outputs["Is Camera Ray"]
     strength, sigma_s, sigma_a, replace, direct, g = group.outputs[:6]
 
@@ -79,12 +78,13 @@ def _build_volume(tree):
 
     visible = _math(tree, "MAXIMUM", camera, replace, -600, -400)
     glow = _math(tree, "MULTIPLY", density.outputs["Factor"], strength, -600, 0)
-    cosine = _vector(tree, "LENGTH", flux, None, -1000, -400, output="Value")
-    kept = _vector(tree, "SCALE", g, cosine, -800, -600)
     beam = _node(tree, "ShaderNodeGroup", -600, -200)
     beam.node_tree = beam_group()
-    for name, value in (("Others", direct), ("Light", light), ("Direction", flux), ("G", kept)):
+    for name, value in (("Others", direct), ("Light", light), ("G", g)):
         tree.links.new(value, beam.inputs[name])
+    for number, axis in enumerate(AXES):
+        flux = _attribute(tree, flux_grid(axis), -1200, -400 - 200 * number)
+        tree.links.new(flux.outputs["Vector"], beam.inputs[axis])
     scattered = _vector(tree, "MULTIPLY", sigma_s, beam.outputs["Radiance"], -400, -200)
     factor = _math(tree, "MULTIPLY", glow, visible, -400, 0)
     emission = _vector(tree, "SCALE", scattered, factor, -200, -100)
@@ -100,29 +100,35 @@ def _build_volume(tree):
 def _build_beam(tree):
     _socket(tree, "Radiance", "OUTPUT", "NodeSocketVector", "Connect to the next beam's Others")
     _socket(tree, "Others", "INPUT", "NodeSocketVector", "Radiance of the beams before, W/(m2 sr)")
-    _socket(
-        tree, "Light", "INPUT", "NodeSocketVector", "Mean radiance over directions, in W/(m2 sr)"
-    )
-    _socket(tree, "Direction", "INPUT", "NodeSocketVector", "The way it travels, of any length")
+    _socket(tree, "Light", "INPUT", "NodeSocketVector", "Its mean radiance, in W/(m2 sr)")
+    for axis in AXES:
+        component = f"{axis} of the mean of its directions, by band; all three are at most 1 long"
+        _socket(tree, axis, "INPUT", "NodeSocketVector", component)
     _socket(tree, "G", "INPUT", "NodeSocketVector", "Mean cosine of the scattering angle")
     group = _node(tree, "NodeGroupInput", -1000, 0)
-    others, light, direction, g = group.outputs[:4]
+    others, light, *components, g = group.outputs[:6]
     # In a volume this is the way from the place to the eye.
-    eye = _node(tree, "ShaderNodeNewGeometry", -1000, -300).outputs["Incoming"]
+    incoming = _node(tree, "ShaderNodeNewGeometry", -1200, -300).outputs["Incoming"]
+    eye = _node(tree, "ShaderNodeSeparateXYZ", -1000, -300)
+    tree.links.new(incoming, eye.inputs[0])
 
-    along = _vector(tree, "NORMALIZE", direction, None, -800, -100)
-    cosine = _vector(tree, "DOT_PRODUCT", along, eye, -800, -300, output="Value")
-    square = _vector(tree, "MULTIPLY", g, g, -800, 300)
-    straight = _vector(tree, "SUBTRACT", (1, 1, 1), square, -600, 300)
-    twice = _vector(tree, "ADD", g, g, -800, 100)
-    shift = _vector(tree, "SCALE", twice, cosine, -600, -200)
-    base = _vector(tree, "ADD", (1, 1, 1), square, -600, 100)
-    base = _vector(tree, "SUBTRACT", base, shift, -400, 0)
-    peak = _vector(tree, "POWER", base, (-1.5,) * 3, -200, 0)
-    phase = _vector(tree, "MULTIPLY", straight, peak, 0, 200)
-    scattered = _vector(tree, "MULTIPLY", light, phase, 400, 0)
-    total = _vector(tree, "ADD", others, scattered, 600, 0)
-    output = _node(tree, "NodeGroupOutput", 800, 0)
+    square = forward = (0, 0, 0)  # of G times the mean direction, and of that along the eye's way
+    for number, component in enumerate(components):
+        y = -200 * number
+        kept = _vector(tree, "MULTIPLY", g, component, -800, y)
+        own = _vector(tree, "MULTIPLY", kept, kept, -600, y)
+        square = _vector(tree, "ADD", square, own, -400, y)
+        own = _vector(tree, "SCALE", kept, eye.outputs[number], -600, y - 600)
+        forward = _vector(tree, "ADD", forward, own, -400, y - 600)
+    straight = _vector(tree, "SUBTRACT", (1, 1, 1), square, -200, 200)
+    base = _vector(tree, "ADD", (1, 1, 1), square, -200, 0)
+    twice = _vector(tree, "SCALE", forward, 2, -200, -200)
+    base = _vector(tree, "SUBTRACT", base, twice, 0, 0)
+    peak = _vector(tree, "POWER", base, (-1.5,) * 3, 200, 0)
+    phase = _vector(tree, "MULTIPLY", straight, peak, 400, 200)
+    scattered = _vector(tree, "MULTIPLY", light, phase, 600, 0)
+    total = _vector(tree, "ADD", others, scattered, 800, 0)
+    output = _node(tree, "NodeGroupOutput", 1000, 0)
     tree.links.new(total, output.inputs["Radiance"])
 
 
@@ -199,7 +205,7 @@ def _mix(tree, factor, a, b, x, y):
     return next(s for s in node.outputs if s.identifier == "Result_Vector")
 
 
-def _vector(tree, operation, a, b, x, y, output="Vector"):
+def _vector(tree, operation, a, b, x, y):
     """A Vector Math node on `a` and `b`, sockets or values; returns its output socket."""
     node = _node(tree, "ShaderNodeVectorMath", x, y)
     node.operation = operation
@@ -207,6 +213,6 @@ def _vector(tree, operation, a, b, x, y, output="Vector"):
     for value, socket in ((a, node.inputs[0]), (b, second)):
         if isinstance(value, bpy.types.NodeSocket):
             tree.links.new(value, socket)
-        elif value is not None:
+        else:
             socket.default_value = value
-    return node.outputs[output]
+    return node.outputs["Vector"]

@@ -12,6 +12,8 @@ Surfaces: the node group `LB Ambient`, put right behind each closure that scatte
 diffusely, so that the user's own mixes weigh its emission; again for camera rays alone.
 """
 
+import math
+
 import bpy
 
 from ..errors import OutputError
@@ -26,7 +28,7 @@ from .groups import (
     volume_group,
 )
 from .ours import TAG, find_ours, give_back, is_ours, override
-from .volume import direct_grid
+from .volume import AXES, direct_grid
 
 MODES = {"REPLACE": True, "ADD": False}  # the value of the group's socket "Replace"
 
@@ -177,7 +179,8 @@ def unwire_unused():
 
 def remove_unused():
     """Remove our materials and node groups that nothing uses."""
-    for blocks in (bpy.data.materials, bpy.data.node_groups):
+    groups = bpy.data.node_groups
+    for blocks in (bpy.data.materials, groups, groups):  # twice, for one group holds another
         bpy.data.batch_remove([block for block in blocks if is_ours(block) and not block.users])
 
 
@@ -309,14 +312,20 @@ def _insert_beam(tree, target, number, beam, g):
     grid.attribute_name = direct_grid(number)
     tree.links.new(grid.outputs["Vector"], node.inputs["Light"])
     if isinstance(beam, PointLight):
-        away = new("ShaderNodeVectorMath", 200)
-        away.operation = "SUBTRACT"
-        place = new("ShaderNodeNewGeometry", 400)
-        tree.links.new(place.outputs["Position"], away.inputs[0])
+        place = new("ShaderNodeNewGeometry", 200)
+        away, toward = new("ShaderNodeVectorMath", 400), new("ShaderNodeVectorMath", 600)
+        away.operation, toward.operation = "SUBTRACT", "NORMALIZE"
         away.inputs[1].default_value = beam.position
-        tree.links.new(away.outputs["Vector"], node.inputs["Direction"])
+        parts = new("ShaderNodeSeparateXYZ", 800)
+        tree.links.new(place.outputs["Position"], away.inputs[0])
+        tree.links.new(away.outputs["Vector"], toward.inputs[0])
+        tree.links.new(toward.outputs["Vector"], parts.inputs[0])
+        for axis in AXES:
+            tree.links.new(parts.outputs[axis], node.inputs[axis])
     else:
-        node.inputs["Direction"].default_value = beam.direction
+        length = math.hypot(*beam.direction)
+        for axis, component in zip(AXES, beam.direction, strict=True):
+            node.inputs[axis].default_value = (component / length,) * 3
     tree.links.new(node.outputs["Radiance"], target)
     return node.inputs["Others"]
 

@@ -14,7 +14,7 @@ from ..transport.lights import PointLight, Sun
 from .ours import TAG, is_ours
 
 LIGHT_GRID = "lb_light"
-FLUX_GRID = "lb_flux"
+AXES = ("X", "Y", "Z")
 DENSITY_GRID = "density"
 CREATOR = "LB Lighting"
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
@@ -29,9 +29,9 @@ def volume_light(field, lights, mode):
     """What a baked volume shows of the light in the `Field` of `lights`: (light, others, beams).
 
     light   (bands, nx, ny, nz) W/(m^2 sr), mean radiance of what comes from many directions
-    others  {name of a grid: (1 or 3, nx, ny, nz)}: lb_flux is the net flux of that light over its
-            fluence, from 0 to 1, all bands together; lb_direct_1 ... the mean radiance, W/(m^2 sr),
-            of the unscattered light that comes from one direction
+    others  {name of a grid: (bands, nx, ny, nz)}: lb_flux_x ... are the components of the net flux
+            of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance,
+            W/(m^2 sr), of the unscattered light that comes from one direction
     beams   the Sun or PointLight of each lb_direct
 
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
@@ -46,17 +46,23 @@ def volume_light(field, lights, mode):
         unscattered = field.by_light[of_beam]
         # Rounding leaves less than nothing where beams are all there is.
         fluence = fluence + np.maximum(field.direct - unscattered.sum(axis=0), 0)
-    others = {FLUX_GRID: _drift(fluence, field.flux)}
+    drift = _drift(fluence, field.flux)
+    others = {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
     for number in range(1, len(beams) + 1):
         others[direct_grid(number)] = unscattered[number - 1] / _SPHERE
     return fluence / _SPHERE, others, beams
 
 
 def _drift(fluence, flux):
-    """(3, nx, ny, nz), at most 1 long: the flux (bands, 3, nx, ny, nz) over the fluence."""
-    total = fluence.sum(axis=0)
-    drift = np.divide(flux.sum(axis=0), total, out=np.zeros_like(flux[0]), where=total > 0)
-    return drift / np.maximum(np.linalg.norm(drift, axis=0), 1)
+    """(bands, 3, nx, ny, nz), at most 1 long: the flux over the fluence, (bands, nx, ny, nz)."""
+    total = fluence[:, None]
+    drift = np.divide(flux, total, out=np.zeros_like(flux), where=total > 0)
+    return drift / np.maximum(np.linalg.norm(drift, axis=1, keepdims=True), 1)
+
+
+def flux_grid(axis):
+    """The name of the grid of light's mean direction along the axis "X", "Y" or "Z"."""
+    return f"lb_flux_{axis.lower()}"
 
 
 def direct_grid(number):

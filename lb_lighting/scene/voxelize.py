@@ -150,10 +150,10 @@ def opaque_share(triangles, closed, domain):
     triangles  (n, 3, 3) m, world space
     closed     (n,) bool, see `Part`
 
-    Inside of closed bodies it is 1. Where one is thinner than a voxel, a surface S shows S/4 on
-    average of the 6 h^2/4 that the voxel shows. An open sheet shows its whole area to light that
-    faces it; so a wall across a voxel stops all, and the voxel is that behind the wall's front
-    where it lies between two.
+    It is at least the share of the voxel inside of closed bodies. Where one is much thinner than a
+    voxel, a surface S shows S/4 on average of the 6 h^2/4 that the voxel shows. An open sheet
+    shows its whole area to light that faces it; so a wall across a voxel stops all, and the voxel
+    is that behind the wall's front where it lies between two.
     """
     body = triangles[closed]
     solid = _inside(body, domain)

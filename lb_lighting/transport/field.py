@@ -17,7 +17,8 @@ class Report:
     model     which model solved it
     device    the device that ran, as shown to the user
     steps     lattice steps taken
-    residual  relative change (L2) of the total light in the last step, the largest of the bands
+    residual  of the lattice's light, relative (L2), the largest of the bands: the error that
+              stopping leaves, as estimated; in the paper's model its change in the last step
     seconds   {stage: seconds}
     bytes     memory that the solver allocated, bytes
     runs      bands that were really solved, of traced photons each light apart; the other bands

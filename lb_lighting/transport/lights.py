@@ -146,24 +146,38 @@ class Sky:
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
             across, height = _strata(count, 2, np.random.default_rng(0))
-            towards, irradiance = self._bright(across, height, medium, band)
+            towards, irradiance, power = self._bright(across, height, medium, band)
+            sent = (np.abs(towards) @ face_areas(medium.domain)) @ irradiance / count
+            irradiance *= power / sent if sent else 0  # so few suns need not add up to the sky
         else:
             towards = _even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
         return _beams(medium.domain, -towards, irradiance / count, _SUN_PER_EDGE)
 
+    def parts(self):
+        """[Sky]: what comes evenly from everywhere, where there is any, and the rest, likewise."""
+        if not callable(self.radiance):
+            return [self]
+        cells = _cell_centers()
+        radiance = _over_directions(self.radiance, cells)(cells)
+        _check_energy(radiance, "radiance of the sky")
+        least = radiance.min(axis=0)
+        rest = Sky(lambda towards: np.maximum(np.subtract(self.radiance(towards), least), 0))
+        even = [Sky(least)] if np.any(least) else []
+        return even + ([rest] if np.any(radiance > least) else [])
+
     def _emit_by_brightness(self, count, medium, rng, band):
         """Directions by the power that comes from their cell of the sky, then points of entry."""
         cell, height, across, along = _strata(count, 4, rng)
-        towards, irradiance = self._bright(cell, height, medium, band)
+        towards, irradiance, _ = self._bright(cell, height, medium, band)
         origins = _enter(medium.domain, -towards, across, along)
         shown = np.abs(towards) @ face_areas(medium.domain)
         return origins, -towards, irradiance * shown / count
 
     def _bright(self, across, height, medium, band):
         """Directions (n, 3) towards a sky that is a function, by the power that comes from their
-        cell of it, and the (n,) W/m^2 for which each would stand alone.
+        cell of it; the (n,) W/m^2 for which each would stand alone; and the power of all cells, W.
 
         across and height are the (n,) in [0, 1) that choose them.
         """
@@ -179,7 +193,8 @@ class Sky:
         cell, around = _pick(_edges(chance), across)
         towards = _in_cells(cell, height, around)
         solid_angle = 4 * np.pi * even / chance[cell]
-        return towards, _of_band(radiance(towards), medium.bands, band) * solid_angle
+        irradiance = _of_band(radiance(towards), medium.bands, band) * solid_angle
+        return towards, irradiance, 4 * np.pi * even * glow.sum()
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is ra
 # Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
 # paths of scattering, and in diffusion lengths of absorption (docs/physics.md, "Thick voxels").
 _THICKEST, _DARKEST = 3.0, 0.9
+_MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 _MOST_PIECES = 4
 
 
@@ -257,15 +258,17 @@ class _Work:
 
     def _band(self, medium, lights, band, traced):
         self._tell("direct", self.begun)
+        lit = _Band.dark(medium.shape, len(lights))
         with self.clock("direct"):
-            casts = [self._cast(medium, light, band, medium.sigma_t[band]) for light in lights]
-            lit = _Band.dark(medium.shape, len(casts))
+            parts = _parts(lights) if traced is None else list(enumerate(lights))
+            casts = [self._cast(medium, part, band, medium.sigma_t[band]) for _, part in parts]
             if traced is None:
+                lights = [part for _, part in parts]
                 handover = self._first_collisions(medium, lights, band, casts, lit)
             else:
                 handover = _handed_over(medium, band, traced, lit)
-            for place, unscattered in zip(lit.by_light, casts, strict=True):
-                place[...] = unscattered.direct
+            for (number, _), unscattered in zip(parts, casts, strict=True):
+                lit.by_light[number] += unscattered.direct
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
         self._tell("solve", self.begun + self.share)
@@ -358,7 +361,8 @@ class _Work:
         lit.residual, lit.steps = self._converge(lattice)
         fluence = lattice.fluence().astype(float)
         lit.fluence += scale * fluence
-        lit.flux += scale * lattice.flux()
+        # The lattice starts light at a voxel's centre, and moves it to where it collided first.
+        lit.flux += scale * lattice.flux() - handover.place
         left, stopped = lattice.lost()
         watts = scale * medium.voxel_size**2
         lit.energy["left"] += watts * left
@@ -414,6 +418,15 @@ def _distinct(medium, lights):
     return runs
 
 
+def _parts(lights):
+    """[(number of its light, light)]: skies divided in what is even and what is not."""
+    return [
+        (number, part)
+        for number, light in enumerate(lights)
+        for part in (light.parts() if isinstance(light, Sky) else [light])
+    ]
+
+
 def _last_collision(medium, settings):
     """The collision at which light is handed to the lattice: 1 for the first, infinity for none.
 
@@ -442,7 +455,9 @@ def _handed_over(medium, band, traced, lit):
 
 def _is_uniform(light, medium, band):
     """Whether a light is the same from everywhere, and less of it is absorbed than scattered."""
-    bright = medium.sigma_a[band] <= medium.sigma_s[band]
+    # Of light that is missing far more times over than there is, too few digits would be left.
+    thin = _depth(medium, medium.sigma_a[band]).max() <= _MOST_MISSING
+    bright = thin and medium.sigma_a[band] <= medium.sigma_s[band]
     uniform = isinstance(light, Sky) and not callable(light.radiance)
     return uniform and bright and medium.occlusion is None
 

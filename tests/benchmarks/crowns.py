@@ -68,13 +68,13 @@ def crown(length, places=in_ball, flatness=0.0):
 
 TREE = {"width": 8.2, "middle": (0, 0, 3.9), "tree": True}
 CASES = {
-    "5 cm leaves": Case(lambda: crown(0.05), 32),
-    "clumped": Case(lambda: crown(0.05, in_clumps), 40, 2.7),
+    "5 cm leaves": Case(lambda: crown(0.05), 40),
+    "clumped": Case(lambda: crown(0.05, in_clumps), 44, 2.7),
     "2.5 cm leaves": Case(lambda: crown(0.025), 64),
-    "10 cm leaves": Case(lambda: crown(0.10), 22),
-    "near-horizontal": Case(lambda: crown(0.05, flatness=4.0), 32),
+    "10 cm leaves": Case(lambda: crown(0.10), 24),
+    "near-horizontal": Case(lambda: crown(0.05, flatness=4.0), 40),
     "tree": Case(lambda: assets.tree(leaves=20_000)[1], 48, **TREE),
-    "tree on the ground": Case(lambda: assets.tree(leaves=20_000)[1], 48, **TREE, ground=True),
+    "tree on the ground": Case(lambda: assets.tree(leaves=20_000)[1], 60, **TREE, ground=True),
 }
 
 

@@ -11,7 +11,7 @@ rendered apart. References are kept in build/references, pictures in build/bench
 
 import argparse
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -35,6 +35,8 @@ REFERENCES = BUILD.parent / "references"
 PICTURES = BUILD / "endtoend"
 EDGE = 60  # voxels of a medium, which with the padding are 64 of 1 m
 VOXEL = 1 / 64  # m
+LATTICE = {"resolution": 64, "domain": "Bounds"}
+PHOTONS = 3_000_000  # where there is no lattice: 11 for each of its voxels
 SIZE = 128  # pixels
 SAMPLES = 64
 BOUNCES = 1024  # of the reference: more than light has in any case here
@@ -156,19 +158,23 @@ def reference(case, folder):
     return np.load(path)["halves"].astype(float)
 
 
-def lit(case, folder, mode, handover, samples):
-    """The picture with our light, its seconds, and those of the solve."""
+def solved(case, folder, handover):
+    """(field, seconds) of the light that `bake` would find."""
     source = build(case, folder)
-    scene = bpy.context.scene
-    options = bake.Options.of(
-        scene, resolution=64, domain="Bounds", mode=mode, handover=handover, folder=str(folder)
-    )
+    options = bake.Options.of(bpy.context.scene, handover=handover, **LATTICE)
     problem = bake.gather(bpy.context, [source], options)
     start = perf_counter()
-    field = job.solve(problem.medium, problem.lights, options.settings())
-    solving = perf_counter() - start
-    bake.apply(bpy.context, problem, field, options)
-    return *picture(folder, samples), solving
+    settings = replace(options.settings(), photons=PHOTONS)
+    field = job.solve(problem.medium, problem.lights, settings)
+    return field, perf_counter() - start
+
+
+def lit(case, folder, field, mode, samples):
+    """(picture, seconds) with the light of the field."""
+    source = build(case, folder)
+    options = bake.Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
+    bake.apply(bpy.context, bake.gather(bpy.context, [source], options), field, options)
+    return picture(folder, samples)
 
 
 def compare(name, found, wanted, seconds, solving=0.0):
@@ -193,20 +199,17 @@ def rows_of(case):
         build(case, folder)
         found, seconds = picture(folder, SAMPLES, BOUNCES)
         yield compare(f"{case.name}: Cycles, {SAMPLES} samples", found, wanted, seconds)
-        for mode, handover, samples in (
-            ("REPLACE", 0.0, 1),
-            ("REPLACE", 0.0, SAMPLES),
-            ("ADD", 0.0, SAMPLES),
-            ("REPLACE", np.inf, SAMPLES),
+        for light, handover, pictures in (
+            ("lattice", 0.0, (("REPLACE", 1), ("REPLACE", SAMPLES), ("ADD", SAMPLES))),
+            ("photons", np.inf, (("REPLACE", SAMPLES), ("ADD", SAMPLES))),
         ):
-            found, seconds, solving = lit(case, folder, mode, handover, samples)
-            light = "lattice" if handover == 0 else "photons"
-            row = compare(
-                f"{case.name}: {mode.title()}, {light}, {samples}", found, wanted, seconds, solving
-            )
-            if samples == SAMPLES:
-                save(f"{case.name}-{mode.lower()}-{light}", wanted.mean(axis=0), found)
-            yield row
+            field, solving = solved(case, folder, handover)
+            for mode, samples in pictures:
+                found, seconds = lit(case, folder, field, mode, samples)
+                name = f"{case.name}: {mode.title()}, {light}"
+                yield compare(f"{name}, {samples} samples", found, wanted, seconds, solving)
+                if samples == SAMPLES:
+                    save(f"{case.name}-{mode.lower()}-{light}", wanted.mean(axis=0), found)
 
 
 def save(name, wanted, found):

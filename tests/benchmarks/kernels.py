@@ -11,9 +11,9 @@ import numpy as np
 
 from lb_lighting.transport import PRESETS, Medium, Sun, device
 from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper_opencl import PaperLattice
-from lb_lighting.transport.paper_numpy import PaperReference
 from lb_lighting.transport.paper import boundary_inflow
+from lb_lighting.transport.paper_numpy import PaperReference
+from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 

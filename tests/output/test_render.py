@@ -11,6 +11,8 @@ from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
 from lb_lighting.output.volume import (
     DENSITY_GRID,
     baked_volumes,
+    direct_grid,
+    flux_grid,
     fresh_path,
     show_volume,
     write_vdb,
@@ -155,12 +157,12 @@ BEAMS = {
 
 
 def unscattered(beam):
-    """(3, nx, ny, nz) W/m^2 of a light that meets nothing."""
+    """(3, nx, ny, nz) W/(m^2 sr), mean radiance of a light that meets nothing."""
     if isinstance(beam, Sun):
         light = np.ones(BOX.shape)
     else:
         light = 1 / (4 * np.pi * np.sum((BOX.centers() - beam.position) ** 2, axis=-1))
-    return np.multiply.outer(np.broadcast_to(beam.spectrum, 3), light)
+    return np.multiply.outer(np.broadcast_to(beam.spectrum, 3), light) / (4 * np.pi)
 
 
 def lamp(beam):
@@ -179,12 +181,13 @@ def lamp(beam):
     bpy.context.scene.collection.objects.link(ob)
 
 
-def thin_box(path, beams, light=0.0):
-    """The box, with nothing but the light of the beams, or evenly with `light`, in it."""
+def thin_box(path, beams=(), light=0.0, down=0.0):
+    """The box in the light of the beams, and evenly in `light` with that net flux downwards."""
     density = np.zeros(BOX.shape, np.float32)
     density[4:20, 4:20, 4:20] = 1
-    light = np.full((1, *BOX.shape), light)
-    write_vdb(path, BOX, density, light, {}, [unscattered(beam) for beam in beams])
+    others = {direct_grid(n): unscattered(beam) for n, beam in enumerate(beams, 1)}
+    others[flux_grid("Z")] = np.broadcast_to(np.reshape(down, (-1, 1, 1, 1)), (3, *BOX.shape)) * -1
+    write_vdb(path, BOX, density, np.full((1, *BOX.shape), light), {}, others)
     return show_volume(bpy.context, [source("box")], path)
 
 
@@ -231,6 +234,26 @@ def test_replace_scatters_beams_as_cycles_does(tmp_path, beams, angle):
     assert found == pytest.approx(expected, rel=0.02)
 
 
+def henyey_greenstein(cosine, g):
+    """1/sr."""
+    return (1 - g**2) / (1 + g**2 - 2 * g * cosine) ** 1.5 / (4 * np.pi)
+
+
+@pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+def test_scattered_light_goes_on_the_way_that_its_flux_tells(tmp_path, mode):
+    """That of one direction, whose flux is 1, as a beam; else the mean cosines are multiplied."""
+    angle, g = 0.3, np.array([0.6, 0.0, -0.4])
+    scene = look_from(angle)
+    prepare_scene(scene)
+    for flux in (1.0, np.array([0.7, 0.2, 0.5]), 0.0):
+        ob = thin_box(fresh_path(tmp_path, "box"), light=2.0, down=flux)
+        shade_volume(ob, mode, THIN, 0.0, g)
+        phase = henyey_greenstein(-np.cos(angle), flux * g)
+        expected = 4 * np.pi * 2.0 * phase * THIN * DEPTH / np.cos(angle)
+        picture = render(scene, tmp_path / "a.exr", 16, 4)
+        assert middle(picture) == pytest.approx(expected, rel=0.01)
+
+
 def test_many_beams_and_a_g_for_each_band(tmp_path):
     angle, g = 0.3, np.array([0.6, 0.0, -0.4])
     scene = look_from(angle)
@@ -240,13 +263,13 @@ def test_many_beams_and_a_g_for_each_band(tmp_path):
     shade_volume(thin_box(tmp_path / "a.vdb", beams), "REPLACE", THIN, 0.0, g, beams)
     eye = np.array((np.sin(angle), 0, np.cos(angle)))
     cosines = np.array([beam.direction for beam in beams]) @ eye / np.sqrt(2)
-    phase = (1 - g**2) / (1 + g**2 - 2 * g * cosines[:, None]) ** 1.5 / (4 * np.pi)
-    expected = 2 * phase.sum(axis=0) * THIN * DEPTH / np.cos(angle)
+    phase = sum(henyey_greenstein(cosine, g) for cosine in cosines)
+    expected = 2 * phase * THIN * DEPTH / np.cos(angle)
     assert middle(render(scene, tmp_path / "a.exr", 16, 4)) == pytest.approx(expected, rel=0.01)
 
 
 def test_a_second_bake_has_its_own_beams(tmp_path):
-    ob = thin_box(tmp_path / "a.vdb", [])
+    ob = thin_box(tmp_path / "a.vdb")
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["two suns and a point"])
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["sun"])
     nodes = ob.active_material.node_tree.nodes

@@ -7,7 +7,7 @@ import pytest
 
 from lb_lighting.errors import OutputError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
-from lb_lighting.output.groups import AMBIENT_GROUP, VOLUME_GROUP
+from lb_lighting.output.groups import AMBIENT_GROUP, BEAM_GROUP, VOLUME_GROUP
 from lb_lighting.output.ours import is_ours
 from lb_lighting.output.shading import (
     hide_source,
@@ -530,14 +530,15 @@ def test_source_is_given_back(hidden):
 def test_baked_volume_has_one_material_and_takes_it_along(tmp_path):
     ob = show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb")
     shade_volume(ob, "REPLACE", 2.0, 0.5)
-    shade_volume(ob, "ADD", (1, 2, 3), (4, 5, 6), strength=0.5)
+    shade_volume(ob, "ADD", (1, 2, 3), (4, 5, 6), (0.5, 0, -0.5), strength=0.5)
     (material,) = ob.data.materials
     inputs = next(n for n in material.node_tree.nodes if n.type == "GROUP").inputs
     assert tuple(inputs["Sigma S"].default_value) == (1, 2, 3)
     assert tuple(inputs["Sigma A"].default_value) == (4, 5, 6)
+    assert tuple(inputs["G"].default_value) == (0.5, 0, -0.5)
     assert inputs["Strength"].default_value == 0.5
     assert not inputs["Replace"].default_value
-    assert bpy.data.node_groups.keys() == [VOLUME_GROUP]
+    assert sorted(bpy.data.node_groups.keys()) == [BEAM_GROUP, VOLUME_GROUP]
     remove_baked(ob)
     remove_unused()
     assert not bpy.data.materials
@@ -547,7 +548,7 @@ def test_baked_volume_has_one_material_and_takes_it_along(tmp_path):
 def test_groups_explain_their_inputs(tmp_path):
     shade_volume(show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb"), "REPLACE", 1, 1)
     wire_ambient(principled())
-    assert sorted(bpy.data.node_groups.keys()) == [AMBIENT_GROUP, VOLUME_GROUP]
+    assert sorted(bpy.data.node_groups.keys()) == [AMBIENT_GROUP, BEAM_GROUP, VOLUME_GROUP]
     for group in bpy.data.node_groups:
         assert all(item.description for item in group.interface.items_tree)
 

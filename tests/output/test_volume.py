@@ -18,6 +18,7 @@ from lb_lighting.output.volume import (
     default_folder,
     delete_baked_file,
     direct_grid,
+    flux_grid,
     forget,
     lost_sources,
     read_metadata,
@@ -34,6 +35,7 @@ from tests.scenery import read_only, source
 
 needs_posix = pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
 
+FLUX = ("lb_flux_x", "lb_flux_y", "lb_flux_z")
 SETTINGS = {"model": "paper", "resolution": 64, "g": 0.1}
 
 
@@ -84,51 +86,73 @@ def test_light_reaches_two_voxels_beyond_density_and_the_domain(tmp_path, domain
     assert np.array_equal(beyond[0, 0], np.tile(light[:, 2, 2, 0], (2, 1)))
 
 
-def test_unscattered_light_is_written_by_beam(tmp_path, domain, density, light):
-    write_vdb(tmp_path / "a.vdb", domain, density, light, {}, [2 * light, light[:1]])
-    for number, expected in ((1, 2 * light), (2, light[[0, 0, 0]])):
-        grid = read_grid(tmp_path / "a.vdb", direct_grid(number))
-        found = voxels(grid, (0, 0, 0), (6, 6, 5, 3))
+def test_other_grids_are_written_likewise(tmp_path, domain, density, light):
+    others = {direct_grid(1): 2 * light, flux_grid("X"): light[:1]}
+    write_vdb(tmp_path / "a.vdb", domain, density, light, {}, others)
+    for name, expected in ((direct_grid(1), 2 * light), (flux_grid("X"), light[[0, 0, 0]])):
+        found = voxels(read_grid(tmp_path / "a.vdb", name), (0, 0, 0), (6, 6, 5, 3))
         assert np.array_equal(found, np.moveaxis(expected[:, :6, :6, :5], 0, -1))
 
 
 class TestVolumeLight:
-    SHAPE = 1, 3, 4, 5
+    SHAPE = 2, 3, 4, 5
     LIGHTS = (Sun((0, 0, -1), 1.0), Sky(1.0), PointLight((0, 0, 9), 1.0))
 
     def field(self, glow=0.0, apart=True):
-        """Scattered light of 1, that of the lights of 2, 3 and 4, and of the medium itself."""
+        """Scattered light of 1 with a flux of 0.5, and that of the lights, and of the medium."""
         own = np.stack([np.full(self.SHAPE, value, np.float32) for value in (2.1, 3.1, 4.1)])
+        flux = np.zeros((2, 3, *self.SHAPE[1:]), np.float32)
+        flux[:, 2] = -0.5
         return Field(
             Domain((0, 0, 0), 1.0, self.SHAPE[1:]),
             np.ones(self.SHAPE, np.float32),
             own.sum(axis=0) + np.float32(glow),
-            None,
+            flux,
             Report("physical", "none"),
             by_light=own if apart else None,
         )
 
+    def radiance(self, fluence):
+        return pytest.approx(np.full(self.SHAPE, fluence / (4 * np.pi)), rel=1e-6)
+
     def test_replace_has_beams_apart_and_all_else_together(self):
-        light, beams = volume_light(self.field(glow=0.5), self.LIGHTS, "REPLACE")
-        assert light == pytest.approx(np.full(self.SHAPE, 4.6 / (4 * np.pi)), rel=1e-6)
-        assert [beam for beam, _own in beams] == [self.LIGHTS[0], self.LIGHTS[2]]
-        assert [float(own[0, 0, 0, 0]) for _beam, own in beams] == pytest.approx([2.1, 4.1])
+        light, others, beams = volume_light(self.field(glow=0.5), self.LIGHTS, "REPLACE")
+        assert light == self.radiance(4.6)
+        assert beams == [self.LIGHTS[0], self.LIGHTS[2]]
+        assert others.keys() == {*FLUX, "lb_direct_1", "lb_direct_2"}
+        assert others["lb_direct_1"] == self.radiance(2.1)
+        assert others["lb_direct_2"] == self.radiance(4.1)
+        assert others["lb_flux_z"] == pytest.approx(np.full(self.SHAPE, -0.5 / 4.6), rel=1e-6)
+        assert not others["lb_flux_x"].any()
 
     def test_beams_alone_leave_nothing_less_than_nothing(self):
         field = self.field()
-        field.by_light, field.direct = field.by_light[::2], 0.999999 * field.by_light[::2].sum(0)
-        light, _beams = volume_light(field, self.LIGHTS[::2], "REPLACE")
-        assert light == pytest.approx(np.full(self.SHAPE, 1 / (4 * np.pi)), rel=1e-6)
+        field.by_light = field.by_light[::2]
+        field.direct = 0.999999 * field.by_light.sum(axis=0)
+        light, _others, _beams = volume_light(field, self.LIGHTS[::2], "REPLACE")
+        assert light == self.radiance(1.0)
 
     def test_add_has_scattered_light_alone(self):
-        light, beams = volume_light(self.field(), self.LIGHTS, "ADD")
-        assert light == pytest.approx(np.full(self.SHAPE, 1 / (4 * np.pi)), rel=1e-6)
+        light, others, beams = volume_light(self.field(), self.LIGHTS, "ADD")
+        assert light == self.radiance(1.0)
+        assert others.keys() == set(FLUX)
+        assert others["lb_flux_z"] == pytest.approx(-0.5)
         assert beams == []
 
-    def test_lights_that_cannot_be_told_apart_have_no_beams(self):
-        light, beams = volume_light(self.field(apart=False), self.LIGHTS, "REPLACE")
-        assert light == pytest.approx(np.full(self.SHAPE, 10.3 / (4 * np.pi)), rel=1e-6)
-        assert beams == []
+    def test_flux_is_no_more_than_the_fluence(self):
+        field = self.field()
+        field.flux[0] *= 3
+        field.fluence[:, 0] = field.flux[:, :, 0] = 0
+        flux = volume_light(field, self.LIGHTS, "ADD")[1]["lb_flux_z"]
+        assert not flux[:, 0].any()
+        assert flux[0, 1:] == pytest.approx(-1)
+        assert flux[1, 1:] == pytest.approx(-0.5)
+
+    @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+    def test_light_that_cannot_be_told_apart_comes_from_everywhere(self, mode):
+        light, others, beams = volume_light(self.field(apart=False), self.LIGHTS, mode)
+        assert light == self.radiance(10.3)
+        assert (others, beams) == ({}, [])
 
 
 def test_gray_light_is_written_to_all_bands(tmp_path, domain, density, light):

@@ -431,13 +431,13 @@ class TestOpaqueShare:
         assert share[8, 8, 8] == share[6, 8, 8] == 1
         assert share[2, 8, 8] == share[13, 13, 8] == 0
 
-    @pytest.mark.parametrize("radius", [0.05, 0.2])
+    @pytest.mark.parametrize("radius", [0.05, 0.1])
     def test_a_thin_body_stops_what_it_shows_on_average(self, radius):
         """S/4 of a rod, of the 3/2 that a voxel shows."""
         bpy.ops.mesh.primitive_cylinder_add(radius=radius, depth=10)
         rod = turned(triangles_of(bpy.context.object), (0.4, 0.3, 0.2)) + 0.3
-        stopped = self.share(rod, closed=True).sum() * 1.5
-        assert stopped == pytest.approx(2 * np.pi * radius * 10 / 4, rel=0.1)
+        stopped = self.share(rod, closed=True).sum() * 1.5 / (2 * np.pi * radius * 10 / 4)
+        assert 0.99 < stopped < 1.1  # more where one of its points happens to lie inside
 
     def test_walls_of_what_has_no_inside_stop_light_themselves(self):
         """A pipe that is wide, and open at both ends."""

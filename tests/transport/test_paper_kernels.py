@@ -7,8 +7,8 @@ import pytest
 from lb_lighting.errors import DeviceError
 from lb_lighting.transport import Medium, Settings, Sky, Sun, device, solve
 from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.paper_numpy import PaperReference
+from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS
 
 OPENCL = [found for found in device.devices() if found.kind != "NumPy"]

@@ -131,14 +131,22 @@ def test_a_uniform_sky_is_nowhere_brighter_than_itself():
         assert np.all(light_of(field) < 4 * np.pi * 0.3 * (1 + 1e-6))
 
 
-def test_a_furnace_of_a_sky_by_direction_is_off_by_some_percent():
-    """The lattice takes over after one collision, and is not exact there; see FURNACE."""
+def test_a_sky_by_direction_that_is_the_same_everywhere_is_exact_too():
     blob = Medium(_blob(12), 1 / 12, 12.0, 0.0, 0.5)
     light = light_of(solved(blob, [Sky(lambda towards: 1.0)], tolerance=1e-4)) / (4 * np.pi)
+    assert np.abs(light - 1).max() < 1e-5
+
+
+def test_a_furnace_of_two_half_skies_is_off_by_some_percent():
+    """Here the lattice carries all light from its first collision on, and is not exact."""
+    blob = Medium(_blob(12), 1 / 12, 12.0, 0.0, 0.5)
+    halves = [Sky(lambda to: 1.0 * (to[..., 2] > 0)), Sky(lambda to: 1.0 * (to[..., 2] <= 0))]
+    light = light_of(solved(blob, halves, tolerance=1e-4)) / (4 * np.pi)
     assert np.abs(light - 1).max() < FURNACE
+    assert light.mean() == pytest.approx(1, rel=0.02)
 
 
-# The largest error of the furnace above; measured .
+# The largest error of the furnace above; 0.10 was measured.
 FURNACE = 0.15
 
 
@@ -202,7 +210,9 @@ def test_a_dark_first_band_does_not_darken_the_others():
     assert field.fluence[1].any()
 
 
-@pytest.mark.parametrize("lights", [[], [Sun((0, 0, 1), 0.0)], [Sky(0.0), PointLight((0, 0, 0), 0)]])
+@pytest.mark.parametrize(
+    "lights", [[], [Sun((0, 0, 1), 0.0)], [Sky(0.0), PointLight((0, 0, 0), 0)]]
+)
 def test_darkness_is_refused(lights):
     with pytest.raises(LightError, match="There is no light"):
         solved(cloud(), lights)
@@ -397,19 +407,16 @@ def test_the_tolerance_is_met(tolerance):
 
 @pytest.mark.parametrize("transport_depth", [0.0, 2.0])
 def test_progress_never_falls_and_reaches_one(transport_depth):
-    heard = {}
-    medium = cloud((2.0, 1.0))
+    heard = []
     solved(
-        medium,
-        progress=lambda stage, share: heard.setdefault(stage, []).append(share),
+        cloud((2.0, 1.0)),
+        progress=lambda stage, share: heard.append(share),
         handover=transport_depth,
         photons=10_000,
     )
-    assert set(heard) == {"solve"} if transport_depth == 0 else {"trace", "solve"}
-    for shares in heard.values():
-        assert shares == sorted(shares)
-        assert shares[0] >= 0
-        assert shares[-1] == 1
+    assert heard == sorted(heard)
+    assert heard[0] >= 0
+    assert heard[-1] == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize("calls", [0, 1, 5])

@@ -70,7 +70,9 @@ def test_kernels_do_what_their_twin_does(shape, steps, occluded, device):
 
 
 @on_opencl
-@pytest.mark.parametrize(("albedo", "g"), [(0.0, 0.0), (1 - 1e-7, 0.999), (1.0, -0.99), (0.5, -0.5)])
+@pytest.mark.parametrize(
+    ("albedo", "g"), [(0.0, 0.0), (1 - 1e-7, 0.999), (1.0, -0.99), (0.5, -0.5)]
+)
 def test_kernels_do_so_for_all_optics(albedo, g, device):
     medium, source = patchy(SHAPE, True), some_source(SHAPE)
     kernel, twin = (lit(lattice_on(d, medium, albedo, g), source, 20) for d in (device, None))
@@ -156,7 +158,9 @@ def test_turned_and_mirrored_media_have_turned_and_mirrored_light(device):
         order, sign = list(axes), np.array(signs)[:, None, None, None]
 
         def turn(grid, axes=axes, signs=signs):
-            return np.ascontiguousarray(grid.transpose(axes)[tuple(slice(None, None, s) for s in signs)])
+            return np.ascontiguousarray(
+                grid.transpose(axes)[tuple(slice(None, None, s) for s in signs)]
+            )
 
         def swap(vectors, order=order, sign=sign):
             return sign * vectors[order]
