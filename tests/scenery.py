@@ -128,7 +128,7 @@ def read_grid(path, name=LIGHT_GRID):
     """(values on the box of its active voxels, the box's first voxel)."""
     grid = openvdb.read(str(path), name)
     first, last = grid.evalActiveVoxelBoundingBox()
-    values = np.empty((*np.subtract(last, first) + 1, 3)[: 4 if name == LIGHT_GRID else 3], "f4")
+    values = np.empty((*np.subtract(last, first) + 1, 3)[: 3 if name == "density" else 4], "f4")
     grid.copyToArray(values, first)
     return values, first
 

@@ -2,14 +2,13 @@
 // One step of the physical lattice, and its read-out. transport/physical_numpy.py is the twin and
 // says what the quantities are.
 //
-// The light of direction m lies at m * STRIDE + GUARD on, voxel by voxel, z fastest, so that the
+// The light of direction m lies at m * stride + guard on, voxel by voxel, z fastest, so that the
 // voxel upstream is always a fixed number of floats away; what is read beyond the domain's faces
 // is other light, or the guard, and is not used.
 //
-// Built with NX, NY, NZ, STRIDE, GUARD, the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH,
-// SECOND_MOMENT and REFLECTED, LONGEST (edge, voxels), and OCCLUSION where there is any.
+// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT and REFLECTED,
+// and OCCLUSION where there is any.
 
-#define VOXELS ((size_t)NX * NY * NZ)
 #define DIAGONAL 1.41421356f
 #define DIRECTIONS 18
 
@@ -24,11 +23,13 @@
     DO(15, 16, 0, 1, -1)
 #define FOR_EACH_PAIR(DO) FOR_EACH_AXIS(DO) FOR_EACH_DIAGONAL(DO)
 
-// The medium and the source, and where the light is.
+// The grid (voxels; floats from one direction's light to the next one's, and before the first), the
+// light, the medium and the source.
 #define PARAMETERS                                                                         \
-    __global const float *light, __global const float *depths, __global const float *power, \
-        __global const float *drift, __global const float *occlusion,                      \
-        __global const float *occlusion_albedo, const float first, const float second,     \
+    const int nx, const int ny, const int nz, const uint stride_floats, const uint guard,  \
+        __global const float *light, __global const float *depths,                         \
+        __global const float *power, __global const float *drift,                          \
+        __global const float *occlusion, __global const float *occlusion_albedo, const float first, const float second,     \
         const float loss
 
 typedef struct {
@@ -52,42 +53,39 @@ inline Rates rates(const float length, const float depth, const float first, con
 }
 
 // The share of light leaving the domain from a voxel that comes back.
-inline float returned(const float depth, const float first)
+inline float returned(const int longest, const float depth, const float first)
 {
-    return REFLECTED / (1.0f + 1.0f / (LONGEST * depth * first));
+    return REFLECTED / (1.0f + 1.0f / (longest * depth * first));
 }
 
 // Whether the voxel that lies (cx, cy, cz) upstream of (x, y, z) is in the domain.
-inline int is_inside(const int x, const int y, const int z, const int cx, const int cy,
-                     const int cz)
+#define IS_INSIDE(cx, cy, cz)                                                              \
+    (((cx) == 0 || ((cx) > 0 ? x > 0 : x < nx - 1)) &&                                     \
+     ((cy) == 0 || ((cy) > 0 ? y > 0 : y < ny - 1)) &&                                     \
+     ((cz) == 0 || ((cz) > 0 ? z > 0 : z < nz - 1)))
+
+#define STEP(cx, cy, cz) (((cx) * ny + (cy)) * nz + (cz))
+
+// What flows into a voxel along m, from the voxel upstream: light that `came` from there, or at the
+// domain's faces a share of what `went` there.
+inline float inflow(const int inside, const float came, const float went, const float share,
+                    const float open)
 {
-    return (cx == 0 || (cx > 0 ? x > 0 : x < NX - 1)) &&
-           (cy == 0 || (cy > 0 ? y > 0 : y < NY - 1)) &&
-           (cz == 0 || (cz > 0 ? z > 0 : z < NZ - 1));
+    return inside ? came * open : went * share;
 }
 
-#define STEP(cx, cy, cz) (((cx) * NY + (cy)) * NZ + (cz))
-
-// What flows into a voxel along m, from the voxel upstream.
-inline float inflow(__global const float *light, __global const float *occlusion,
-                    const size_t voxel, const int inside, const float share, const int m,
-                    const int back, const int step)
-{
-    if (!inside)
-        return share * light[back * STRIDE + GUARD + voxel];
-    const float arriving = light[m * STRIDE + GUARD + voxel - step];
 #ifdef OCCLUSION
-    return arriving * (1.0f - occlusion[voxel]);
+#define OPEN (1.0f - occlusion[voxel])
 #else
-    return arriving;
+#define OPEN 1.0f
 #endif
-}
+#define OUT(m) light[(m) * stride + guard + voxel]
+#define CAME(m, step) light[(m) * stride + guard + voxel - (step)]
 
 #define PULL(m, back, cx, cy, cz)                                                          \
-    f[m] = inflow(light, occlusion, voxel, is_inside(x, y, z, cx, cy, cz), share, m, back, \
-                  STEP(cx, cy, cz));                                                       \
-    f[back] = inflow(light, occlusion, voxel, is_inside(x, y, z, -(cx), -(cy), -(cz)),     \
-                     share, back, m, STEP(-(cx), -(cy), -(cz)));
+    f[m] = inflow(IS_INSIDE(cx, cy, cz), CAME(m, STEP(cx, cy, cz)), OUT(back), share, OPEN); \
+    f[back] = inflow(IS_INSIDE(-(cx), -(cy), -(cz)), CAME(back, STEP(-(cx), -(cy), -(cz))), \
+                     OUT(m), share, OPEN);
 
 // What opaque voxels around a voxel send back into it goes off evenly away from all of them.
 #ifdef OCCLUSION
@@ -98,10 +96,10 @@ inline float inflow(__global const float *light, __global const float *occlusion
         away[m] = 0.0f;                                                                    \
     }
 #define MEET_PAIR(m, back, cx, cy, cz)                                                     \
-    MEET(m, is_inside(x, y, z, cx, cy, cz), STEP(cx, cy, cz))                              \
-    MEET(back, is_inside(x, y, z, -(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))         \
-    reflected += away[m] * light[back * STRIDE + GUARD + voxel];                           \
-    reflected += away[back] * light[m * STRIDE + GUARD + voxel];
+    MEET(m, IS_INSIDE(cx, cy, cz), STEP(cx, cy, cz))                              \
+    MEET(back, IS_INSIDE(-(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))         \
+    reflected += away[m] * OUT(back);                           \
+    reflected += away[back] * OUT(m);
 #define ADD_AWAY(m, back, cx, cy, cz) sum += away[m] + away[back];
 #define SEND_BACK(m, back, cx, cy, cz)                                                     \
     f[m] += away[m] * density;                                                             \
@@ -131,10 +129,11 @@ inline float inflow(__global const float *light, __global const float *occlusion
 #endif
 
 #define LOCATE                                                                             \
+    const size_t voxels = (size_t)nx * ny * nz, stride = stride_floats;                    \
     const size_t voxel = get_global_id(0);                                                 \
-    if (voxel >= VOXELS)                                                                   \
+    if (voxel >= voxels)                                                                   \
         return;                                                                            \
-    const int z = (int)(voxel % NZ), y = (int)(voxel / NZ % NY), x = (int)(voxel / ((size_t)NY * NZ));
+    const int z = (int)(voxel % nz), row = (int)(voxel / nz), y = row % ny, x = row / ny;
 
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
@@ -157,8 +156,8 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
         const float even = 0.5f * (f[m] + f[back]), odd = 0.5f * (f[m] - f[back]);         \
         const float e = even - r.even * even + gained;                                     \
         const float o = odd - r.odd * odd + pushed * ((cx)*gx + (cy)*gy + (cz)*gz);        \
-        next[m * STRIDE + GUARD + voxel] = e + o;                                          \
-        next[back * STRIDE + GUARD + voxel] = e - o;                                       \
+        next[m * stride + guard + voxel] = e + o;                                          \
+        next[back * stride + guard + voxel] = e - o;                                       \
     }
 
 __kernel void update(PARAMETERS, __global float *next)
@@ -166,12 +165,12 @@ __kernel void update(PARAMETERS, __global float *next)
     LOCATE
     const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
     const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(depths[voxel], first);
+    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
     float f[DIRECTIONS];
     FOR_EACH_PAIR(PULL)
     REFLECT
     const float density = isotropic(f, axis, diagonal), emitted = power[voxel] / MEAN_LENGTH;
-    const float gx = drift[voxel], gy = drift[VOXELS + voxel], gz = drift[2 * VOXELS + voxel];
+    const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
     {
         const Rates r = axis;
         const float gained = W_AXIS * ((r.even - r.absorbed) * density +
@@ -193,7 +192,7 @@ __kernel void read_fluence(PARAMETERS, __global float *fluence)
     LOCATE
     const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
     const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(depths[voxel], first);
+    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
     float f[DIRECTIONS];
     FOR_EACH_PAIR(PULL)
     REFLECT
@@ -216,11 +215,11 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
     LOCATE
     const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
     const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(depths[voxel], first);
+    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
     float f[DIRECTIONS];
     FOR_EACH_PAIR(PULL)
     REFLECT
-    const float gx = drift[voxel], gy = drift[VOXELS + voxel], gz = drift[2 * VOXELS + voxel];
+    const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
     float jx = 0.0f, jy = 0.0f, jz = 0.0f;
     {
         const float kept = 1.0f - 0.5f * axis.odd;
@@ -233,20 +232,20 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
         FOR_EACH_DIAGONAL(ADD_FLUX)
     }
     flux[voxel] = jx;
-    flux[VOXELS + voxel] = jy;
-    flux[2 * VOXELS + voxel] = jz;
+    flux[voxels + voxel] = jy;
+    flux[2 * voxels + voxel] = jz;
 }
 
 // Light of one direction that leaves the domain, by the first face of those it passes, and what
 // the occluder downstream keeps of it.
 #define ADD_LOST(m, cx, cy, cz)                                                            \
-    if (is_inside(x, y, z, -(cx), -(cy), -(cz))) {                                         \
+    if (IS_INSIDE(-(cx), -(cy), -(cz))) {                                         \
         ADD_STOPPED(m, STEP(cx, cy, cz))                                                   \
     } else {                                                                               \
-        const float leaving = (1.0f - share) * light[(m) * STRIDE + GUARD + voxel];    \
-        if (!is_inside(x, y, z, -(cx), 0, 0))                                              \
+        const float leaving = (1.0f - share) * OUT(m);    \
+        if (!IS_INSIDE(-(cx), 0, 0))                                              \
             sum[(cx) > 0] += leaving;                                                      \
-        else if (!is_inside(x, y, z, 0, -(cy), 0))                                         \
+        else if (!IS_INSIDE(0, -(cy), 0))                                         \
             sum[2 + ((cy) > 0)] += leaving;                                                \
         else                                                                               \
             sum[4 + ((cz) > 0)] += leaving;                                                \
@@ -254,24 +253,25 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
 #ifdef OCCLUSION
 #define ADD_STOPPED(m, step)                                                               \
     sum[6] += occlusion[voxel + (step)] * (1.0f - occlusion_albedo[voxel + (step)]) *      \
-              light[(m) * STRIDE + GUARD + voxel];
+              OUT(m);
 #else
 #define ADD_STOPPED(m, step)
 #endif
 #define ADD_LOST_PAIR(m, back, cx, cy, cz)                                                 \
     ADD_LOST(m, cx, cy, cz) ADD_LOST(back, -(cx), -(cy), -(cz))
 
-// lost  7 x NZ: through the faces -x, +x, -y, +y, -z, +z, and stopped; summed over x and y.
+// lost  7 x nz: through the faces -x, +x, -y, +y, -z, +z, and stopped; summed over x and y.
 __kernel void read_lost(PARAMETERS, __global float *lost)
 {
+    const size_t stride = stride_floats;
     const int z = (int)get_global_id(0);
     float sum[7] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-    for (int x = 0; x < NX; x++)
-        for (int y = 0; y < NY; y++) {
-            const size_t voxel = ((size_t)x * NY + y) * NZ + z;
-            const float share = returned(depths[voxel], first);
+    for (int x = 0; x < nx; x++)
+        for (int y = 0; y < ny; y++) {
+            const size_t voxel = ((size_t)x * ny + y) * nz + z;
+            const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
             FOR_EACH_PAIR(ADD_LOST_PAIR)
         }
     for (int n = 0; n < 7; n++)
-        lost[n * NZ + z] = sum[n];
+        lost[n * nz + z] = sum[n];
 }

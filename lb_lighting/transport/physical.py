@@ -78,11 +78,12 @@ def plan(shape, settings, device, bands, occluded):
 def _pieces(medium):
     """How many pieces along each edge the voxels are to be divided in.
 
-    MediumError where absorption is so strong that it would take too many.
+    Depths count by the albedo, the share of light that the lattice carries. MediumError where
+    absorption is so strong that it would take too many.
     """
     density = medium.density.astype(float)
     mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
-    depth = medium.sigma_t * medium.voxel_size * mean
+    depth = medium.sigma_s * medium.voxel_size * mean
     transport = 1 - medium.albedo * medium.g
     lengths = depth * np.sqrt(3 * (1 - medium.albedo) * transport)
     thick = min(2, ceil(float((depth * transport).max()) / _THICKEST))
@@ -245,7 +246,7 @@ class _Work:
                 medium,
                 lights,
                 self.settings.photons or _PHOTONS_A_VOXEL * prod(medium.shape),
-                # Measured to be the least noisy in a given time (docs/free-paths.md).
+                # As little noise as any in a given time (docs/free-paths.md).
                 sampler="supervoxel_constant",
                 spacing=0.5,
                 direct=False,

@@ -10,6 +10,16 @@ from .device import context, program, queue
 from .physical_numpy import MEAN_LENGTH, REFLECTED, SECOND_MOMENT, WEIGHTS
 
 _GROUP = 64  # voxels that a work-group takes
+_CONSTANTS = tuple(
+    f"{name}={value:.9e}f"
+    for name, value in (
+        ("W_AXIS", WEIGHTS[0]),
+        ("W_DIAGONAL", WEIGHTS[-1]),
+        ("MEAN_LENGTH", MEAN_LENGTH),
+        ("SECOND_MOMENT", SECOND_MOMENT),
+        ("REFLECTED", REFLECTED),
+    )
+)
 
 
 class OpenCLLattice:
@@ -18,8 +28,8 @@ class OpenCLLattice:
     def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device):
         self.shape, self.voxels = depth.shape, prod(depth.shape)
         self.context, self.queue = context(device), queue(device)
-        defines = _defines(self.shape, occlusion is not None)
-        built = program(device, "lattice_physical.cl", defines)
+        occluded = ("OCCLUSION",) if occlusion is not None else ()
+        built = program(device, "lattice_physical.cl", _CONSTANTS + occluded)
         names = ("update", "read_fluence", "read_flux", "read_lost")
         self.kernels = {name: cl.Kernel(built, name) for name in names}
         self.range = (-(-self.voxels // _GROUP) * _GROUP,)
@@ -34,6 +44,8 @@ class OpenCLLattice:
             self.occlusion_albedo = self._upload(np.broadcast_to(occlusion_albedo, self.shape))
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
         self.medium = [self.occlusion, self.occlusion_albedo, *map(np.float32, factors)]
+        sizes = np.uint32(_stride(self.shape)), np.uint32(_guard(self.shape))
+        self.grid = [*map(np.int32, self.shape), *sizes]
 
     @staticmethod
     def buffers(shape, occluded):
@@ -81,7 +93,8 @@ class OpenCLLattice:
         return values
 
     def _run(self, kernel, result, items=None, group=(_GROUP,)):
-        arguments = (self.states[0], self.depth, self.power, self.drift, *self.medium, result)
+        buffers = (self.states[0], self.depth, self.power, self.drift)
+        arguments = (*self.grid, *buffers, *self.medium, result)
         self.kernels[kernel](self.queue, items or self.range, group, *arguments)
 
     def _upload(self, values):
@@ -108,19 +121,3 @@ def _stride(shape):
 
 def _state_size(shape):
     return 18 * _stride(shape) + 2 * _guard(shape)
-
-
-def _defines(shape, occluded):
-    numbers = dict(zip(("NX", "NY", "NZ"), shape, strict=True))
-    numbers |= {"STRIDE": f"(size_t){_stride(shape)}", "GUARD": _guard(shape)}
-    constants = {
-        "W_AXIS": WEIGHTS[0],
-        "W_DIAGONAL": WEIGHTS[-1],
-        "MEAN_LENGTH": MEAN_LENGTH,
-        "SECOND_MOMENT": SECOND_MOMENT,
-        "REFLECTED": REFLECTED,
-        "LONGEST": max(shape),
-    }
-    defines = [f"{name}={value}" for name, value in numbers.items()]
-    defines += [f"{name}={value:.9e}f" for name, value in constants.items()]
-    return tuple(defines + ["OCCLUSION"] * occluded)

@@ -107,7 +107,7 @@ def shifted(light, guide, _variance):
 def fitted(light, guide, variance):
     """The smooth part of light: around each voxel the linear function of the guide that fits best.
 
-    Where the light varies by no more than its variance, which is added, the slope falls to zero.
+    Its slope falls to zero where the guide varies less than the light's own noise.
     Source: K. He, J. Sun, X. Tang, "Guided image filtering", 2010.
     """
     mean, mean_guide = smooth(light), smooth(guide)
@@ -157,7 +157,8 @@ def filter_rows(case):
     """For each number of photons what a hybrid, and what is made of it, has of noise and error.
 
     The truth of a solve is the mean of the same by the other seeds, whose own noise is taken out:
-    error is noise and what the filter spoils, without what the hybrid itself neglects.
+    error is noise and what the filter spoils, without what the hybrid itself neglects. Imbalance
+    is what the filter changes about the power absorbed, over the power that entered.
     """
     solved(case, 0.0)  # builds the programs
     deterministic, extra = solved(case, 0.0)
@@ -165,6 +166,8 @@ def filter_rows(case):
         runs = [solved(case, HANDOVER, a_voxel, seed) for seed in range(SEEDS)]
         size = np.linalg.norm(np.mean([all_light(run) for run, _ in runs], axis=0))
         plain = np.array([run.fluence[0] for run, _ in runs], float)
+        entered = runs[0][0].report.energy["entered"][0]
+        absorbs = case.medium.sigma_a[0] * case.medium.voxel_size**3 / entered * case.medium.density
         own, seconds = noise(plain), float(np.median([taken for _, taken in runs]))
         for name, (smooth_part, trust) in FILTERS.items():
             light = np.array([filtered(run, deterministic, smooth_part, trust) for run, _ in runs])
@@ -176,8 +179,7 @@ def filter_rows(case):
                 "noise": noise(light) / size,
                 "error": off / size,
                 "of the unfiltered": off / own,
-                "absorbed": float((case.medium.density * (light - plain)).sum())
-                / float((case.medium.density * plain).sum()),
+                "imbalance": float(np.sum(absorbs * (light - plain).mean(axis=0))),
                 "seconds": longer,
                 "efficiency": (own / off) ** 2 * seconds / longer,
             }
