@@ -43,8 +43,8 @@ _TURNS = np.array([(0, 1, 2), (2, 0, 1), (1, 2, 0)])
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of x^3 = x + 1
 _RAYS_AT_ONCE = 2**18  # that a light makes
-# Of a sky, by per_edge^2: how many suns stand for it; and the per_edge of each of these.
-_SUNS, _SUN_PER_EDGE = 2.5, 2
+# Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, by that of all.
+_SUNS, _SUN_PER_EDGE = 2.5, 1 / 5
 _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 
 
@@ -153,7 +153,8 @@ class Sky:
             towards = _even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
-        return _beams(medium.domain, -towards, irradiance / count, _SUN_PER_EDGE)
+        of_each = max(1, round(_SUN_PER_EDGE * per_edge))
+        return _beams(medium.domain, -towards, irradiance / count, of_each)
 
     def parts(self):
         """[Sky]: what comes evenly from everywhere, where there is any, and the rest, likewise."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How right the light is: each case of `media.py` against traced photons, and what is exact.
 
-    python -m tests.benchmarks.accuracy [cases slabs furnace spread refinement rotation]
+    python -m tests.benchmarks.accuracy [cases margin slabs furnace spread refinement rotation]
 
 measures all parts, or those named. Columns of the cases:
 
@@ -18,13 +18,23 @@ The paper's light is scaled by the factor that fits best in L2, which is told; n
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from lb_lighting.transport import device
 from tests.benchmarks import grids, oracles
-from tests.benchmarks.columns import COLUMNS, all_light, imbalance, refusal, relative_noise
-from tests.benchmarks.media import main_cases
+from tests.benchmarks.columns import (
+    COLUMNS,
+    all_light,
+    cropped,
+    imbalance,
+    padded,
+    refusal,
+    relative_noise,
+    solved,
+)
+from tests.benchmarks.media import cubes, main_cases
 from tests.benchmarks.references import References
 from tests.benchmarks.table import publish
 
@@ -108,8 +118,18 @@ def cases():
     yield "summary", list(summary(rows))
 
 
+def margin_rows():
+    """Cubes with empty voxels around them, deterministic: inside they should be as without."""
+    references = References()
+    for case in cubes():
+        margin = replace(case, medium=padded(case.medium))
+        field = cropped(solved(margin, "deterministic"))
+        yield {"case": case.name, **measured(field, references[case], scaled=False)}
+
+
 PARTS = {
     "cases": cases,
+    "margin": lambda: [("margin", list(margin_rows()))],
     "slabs": lambda: [("slabs", list(oracles.slab_rows()))],
     "furnace": lambda: [("furnace", list(oracles.furnace_rows()))],
     "spread": lambda: [("spread", list(oracles.spread_rows()))],
