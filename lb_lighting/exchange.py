@@ -27,7 +27,7 @@ _MEDIUM_ARRAYS = (
     "occlusion_albedo",
     "shift",
 )
-_FIELD_ARRAYS = ("fluence", "direct", "flux", "variance", "by_light")
+_FIELD_ARRAYS = ("fluence", "direct", "flux", "variance", "by_light", "direct_flux")
 
 
 def save_problem(path, medium, lights, settings, device):

@@ -9,6 +9,7 @@ from .volume import AXES, DENSITY_GRID, LIGHT_GRID, flux_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
+MADE, VERSION = "lb_lighting_version", 2  # of the groups, raised where one of them changes
 AMBIENT_GROUP = "LB Ambient"
 
 
@@ -45,12 +46,15 @@ def ambient_group():
 
 def _group(name, build):
     """Our node group of that name, filled by `build` when the file does not have it yet."""
-    found = find_ours(bpy.data.node_groups, name)
-    if found:
-        return found
-    tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
-    tree[TAG] = name
-    build(tree)
+    tree = find_ours(bpy.data.node_groups, name)
+    if tree is None:
+        tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
+        tree[TAG] = name
+    if tree.get(MADE) != VERSION:  # a file that an earlier version of ours has lit
+        tree.nodes.clear()
+        tree.interface.clear()
+        build(tree)
+        tree[MADE] = VERSION
     return tree
 
 

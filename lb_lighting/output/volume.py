@@ -37,7 +37,7 @@ def volume_light(field, lights, mode):
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
     Of the paper's field all is shown as if it came evenly from all sides.
     """
-    fluence, beams = field.fluence, []
+    fluence, flux, beams = field.fluence, field.flux, []
     if field.by_light is None:
         return (fluence + field.direct) / _SPHERE, {}, []
     if mode == "REPLACE":
@@ -46,11 +46,25 @@ def volume_light(field, lights, mode):
         unscattered = field.by_light[of_beam]
         # Rounding leaves less than nothing where beams are all there is.
         fluence = fluence + np.maximum(field.direct - unscattered.sum(axis=0), 0)
-    drift = _drift(fluence, field.flux)
+        if field.direct_flux is not None:
+            toward = [_toward(light, field.domain) for light in beams]
+            own = sum(d * v[:, None] for d, v in zip(toward, unscattered, strict=True))
+            flux = flux + field.direct_flux - own
+    drift = _drift(fluence, flux)
     others = {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
     for number in range(1, len(beams) + 1):
         others[direct_grid(number)] = unscattered[number - 1] / _SPHERE
     return fluence / _SPHERE, others, beams
+
+
+def _toward(light, domain):
+    """Unit vectors (3, 1, 1, 1) or (3, nx, ny, nz): where a beam's light goes in each voxel."""
+    if isinstance(light, Sun):
+        toward = np.reshape(light.direction, (3, 1, 1, 1))
+    else:
+        toward = np.moveaxis(domain.centers() - light.position, -1, 0)
+    length = np.linalg.norm(toward, axis=0)
+    return np.divide(toward, length, out=np.zeros(toward.shape), where=length > 0)
 
 
 def _drift(fluence, flux):

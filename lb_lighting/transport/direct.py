@@ -128,7 +128,7 @@ def plan(shape, occluded=True):
     kinds = _TALLIES * (2 if occluded else 1)
     work = 8 * (_TALLIES + 3) * voxels
     rays = 40 * 8 * 2 * _AT_ONCE
-    return buffers, (4 * kinds + 4) * voxels + work + rays
+    return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
 
 
 def _voxels(medium, band, sigma_t, emission):

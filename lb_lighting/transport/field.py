@@ -105,6 +105,7 @@ class Field:
     by_light  (lights, bands, nx, ny, nz) W/m^2, the unscattered light of each light, in the order
               in which they were given, without the medium's own emission; None where it is not
               known apart
+    direct_flux  (bands, 3, nx, ny, nz) W/m^2, net flux of what `direct` counts, or None
     """
 
     domain: Domain
@@ -115,6 +116,7 @@ class Field:
     variance: np.ndarray | None = None
     handed: Handed | None = None
     by_light: np.ndarray | None = None
+    direct_flux: np.ndarray | None = None
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

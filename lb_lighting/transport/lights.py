@@ -56,7 +56,8 @@ class Sun:
     irradiance  W/m^2 on a surface that faces it, scalar or (bands,)
     shadow_density  (nx, ny, nz) or None: what stands in for the medium's density where this light
                 has not scattered yet. The density is a mean over directions; leaves that lie flat
-                stop more than that of a sun above them, and less of one at the horizon
+                stop more than that of a sun above them, and less of one at the horizon. Photons
+                do not know of it: where light is traced, the medium's own density counts
     """
 
     direction: tuple
@@ -66,6 +67,8 @@ class Sun:
     def __post_init__(self):
         if self.shadow_density is not None:
             density = np.asarray(self.shadow_density, np.float32)
+            if not np.all((density >= 0) & (density <= LARGEST)):
+                raise LightError("A sun's shadow density must be finite and not negative.")
             object.__setattr__(self, "shadow_density", density)
         length = np.linalg.norm(self.direction)
         if len(self.direction) != 3 or not np.isfinite(length) or length == 0:

@@ -16,7 +16,7 @@ _REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
 
 
 def solve(medium, lights, settings, device, clock, needed, progress, cancel):
-    """`solver.solve` by the paper's model; needed is the memory that was found free, bytes."""
+    """`solver.solve` by the paper's model; needed is the memory that it takes, bytes."""
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)
     with clock("prepare"):
@@ -50,7 +50,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
     return Field(medium.domain, light, np.zeros_like(light), flux, report)
 
 
-def plan(shape, settings, device, bands, occluded):
+def plan(shape, settings, device, bands, occluded, lights=0):
     """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
     if device.kind == "NumPy":
         buffers = PaperReference.buffers(shape, occluded)

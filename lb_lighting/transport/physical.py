@@ -11,7 +11,7 @@ from math import ceil, inf, isinf, prod
 
 import numpy as np
 
-from ..errors import Cancelled, LightError, MediumError
+from ..errors import Cancelled, DeviceError, LightError, MediumError
 from . import device as devices
 from . import direct, photons
 from .field import Field, Report
@@ -26,6 +26,7 @@ _CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `
 _CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
+_MOST_SHIFTS = 64  # times that light is radiated again: each time it is less
 _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
 
 # Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
@@ -33,19 +34,17 @@ _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is ra
 _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 _MOST_PIECES = 4
+_DEEPEST = 1e30  # optical depth of a voxel that float32 can still reckon with
 
 
 def solve(medium, lights, settings, device, clock, needed, progress, cancel):
-    """`solver.solve` by the physical model; needed is the memory that was found free, bytes."""
+    """`solver.solve` by the physical model; needed is the memory that it takes, bytes."""
     lights = list(lights)
-    pieces = settings.divide or _pieces(medium)
+    _refuse_unfit(medium, lights)
+    pieces, needed = _pieces(medium, settings, device, len(lights), needed)
     if pieces > 1:
         medium = medium.divided(pieces)
         lights = [_divided(light, pieces) for light in lights]
-        occluded = medium.occlusion is not None
-        needed = devices.require_memory(
-            device, medium.shape, lambda s: plan(s, settings, device, medium.bands, occluded)
-        )
     work = _Work(settings, device, clock, progress, cancel)
     field = work.light(medium, lights)
     if medium.shift is not None:
@@ -60,9 +59,9 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
     return field if pieces == 1 else _merged(field, pieces)
 
 
-def plan(shape, settings, device, bands, occluded):
+def plan(shape, settings, device, bands, occluded, lights=4):
     """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
-    rays, host = direct.plan(shape, occluded)
+    rays, casting = direct.plan(shape, occluded)
     if device.kind == "NumPy":
         lattice = NumpyLattice.buffers(shape, occluded)
     else:
@@ -71,15 +70,55 @@ def plan(shape, settings, device, bands, occluded):
         lattice = OpenCLLattice.buffers(shape, occluded)
     # One after the other, not both at once.
     buffers = max(rays, lattice, key=lambda plan: sum(plan.values()))
-    fields = bands * (1 + 1 + 1 + 3) * 4  # fluence, direct, that by one light, flux
-    return buffers, (4 + fields) * prod(shape) + host
+    traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
+    fields = bands * (1 + 1 + 3 + 3 + lights + traced) * 4
+    casts = 2 * (11 + 7 * occluded) * 4  # with the forward peak, and without
+    band = 7 * 8 + lights * 4 + (7 + 4 + 4) * 8  # its light; the hand-over, and twice the source
+    return buffers, (4 + 8 * occluded + fields + casts + band) * prod(shape) + casting
 
 
-def _pieces(medium):
-    """How many pieces along each edge the voxels are to be divided in.
+def _refuse_unfit(medium, lights):
+    for light in lights:
+        shadow = getattr(light, "shadow_density", None)
+        if shadow is not None and shadow.shape != medium.shape:
+            raise LightError(
+                f"The shadow density of a sun has shape {shadow.shape}; it must be that of the "
+                f"density, {medium.shape}."
+            )
 
-    Depths count by the albedo, the share of light that the lattice carries. MediumError where
-    absorption is so strong that it would take too many.
+
+def _pieces(medium, settings, device, lights, needed):
+    """(pieces along each edge that the voxels are to be divided in, bytes that it takes then).
+
+    MediumError where absorption is so strong that it would take too many, DeviceError where the
+    pieces do not fit; those that only better the light are left out then.
+    """
+    wished, must = (settings.divide,) * 2 if settings.divide else _wished_pieces(medium)
+
+    def bytes_of(pieces):
+        if pieces == 1:
+            return needed
+        shape = tuple(pieces * n for n in medium.shape)
+        arguments = (medium.bands, medium.occlusion is not None, lights)
+        return devices.require_memory(
+            device, shape, lambda s: plan(s, settings, device, *arguments)
+        )
+
+    try:
+        return wished, bytes_of(wished)
+    except DeviceError as error:
+        if wished == must:
+            raise DeviceError(
+                f"The voxels are so thick that each has to be divided in {must} along its edges, "
+                f"and then there is too little memory. {error}"
+            ) from error
+        return must, bytes_of(must)
+
+
+def _wished_pieces(medium):
+    """(pieces that better the light, pieces without which it would be wrong), along each edge.
+
+    Depths count by the albedo, the share of light that the lattice carries.
     """
     density = medium.density.astype(float)
     mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
@@ -87,14 +126,14 @@ def _pieces(medium):
     transport = 1 - medium.albedo * medium.g
     lengths = depth * np.sqrt(3 * (1 - medium.albedo) * transport)
     thick = min(2, ceil(float((depth * transport).max()) / _THICKEST))
-    dark = ceil(float(lengths.max()) / _DARKEST)
+    dark = max(1, ceil(float(lengths.max()) / _DARKEST))
     if dark > _MOST_PIECES:
         raise MediumError(
             f"The medium absorbs so strongly that light fades {lengths.max():.1f} times by a "
             f"factor of e within a voxel; raise the resolution {ceil(dark / _MOST_PIECES)} times, "
             "or lower the density."
         )
-    return max(1, thick, dark)
+    return max(thick, dark), dark
 
 
 def _divided(light, pieces):
@@ -119,7 +158,8 @@ def _merged(field, pieces):
         shape=tuple(n // pieces for n in domain.shape),
     )
     variance = None if field.variance is None else mean(field.variance) / pieces**3
-    grids = {name: mean(getattr(field, name)) for name in ("fluence", "direct", "flux", "by_light")}
+    names = ("fluence", "direct", "flux", "direct_flux", "by_light")
+    grids = {name: mean(getattr(field, name)) for name in names}
     return replace(field, domain=coarse, variance=variance, handed=None, **grids)
 
 
@@ -130,27 +170,27 @@ def _shift(field, medium, work):
     energy["shifted"] = np.zeros(medium.bands)
     enough = _SHIFTED * np.sum(energy["entered"])
     latest = field
-    while True:
+    for _ in range(_MOST_SHIFTS):
         light = latest.fluence + latest.direct
         absorbed = medium.sigma_a[:, None, None, None] * medium.density * light  # W/m^3
-        emission = np.tensordot(medium.shift, absorbed, axes=1)
+        emission = np.maximum(np.tensordot(medium.shift, absorbed, axes=1), 0)
         received = emission.sum(axis=(1, 2, 3)) * volume
         if received.sum() <= enough:
             return
         given = medium.shift.sum(axis=0) * absorbed.sum(axis=(1, 2, 3)) * volume
         energy["shifted"] += received - given
         energy["absorbed"] -= given
-        latest = work.light(medium.altered(emission=np.maximum(emission, 0)), [])
+        latest = work.light(medium.altered(emission=emission), [])
         _add(field, latest)
+    field.report.converged = False
 
 
 def _add(field, more):
     """Add light that the medium radiated again: it has not entered from anywhere."""
-    for name in ("fluence", "direct", "flux"):
+    for name in ("fluence", "direct", "flux", "direct_flux"):
         getattr(field, name)[...] += getattr(more, name)
     report, extra = field.report, more.report
     report.steps += extra.steps
-    report.runs += extra.runs
     report.residual = max(report.residual, extra.residual)
     report.converged &= extra.converged
     for where in ("absorbed", "left"):
@@ -163,6 +203,7 @@ class _Band:
 
     fluence: np.ndarray
     flux: np.ndarray
+    direct_flux: np.ndarray
     by_light: np.ndarray
     energy: dict
     residual: float = 0.0
@@ -171,7 +212,12 @@ class _Band:
     @classmethod
     def dark(cls, shape, lights):
         energy = {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
-        return cls(np.zeros(shape), np.zeros((3, *shape)), np.zeros((lights, *shape)), energy)
+        by_light = np.zeros((lights, *shape), np.float32)
+        return cls(*np.zeros((1, *shape)), *np.zeros((2, 3, *shape)), by_light, energy)
+
+    def add_unscattered(self, number, cast):
+        self.by_light[number] += cast.direct
+        self.direct_flux += cast.flux
 
 
 class _Handover:
@@ -207,18 +253,18 @@ class _Work:
     def light(self, medium, lights):
         """The `Field` of the lights and the medium's emission."""
         shining = lights if medium.emission is None else [*lights, Emission(medium)]
-        runs = _distinct(medium, shining)
         last = _last_collision(medium, self.settings)
+        runs = _runs(medium, shining, apart=last == 1)
         traced = self._trace(medium, lights, last) if last > 1 else None
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
-        for number, (band, multiples) in enumerate(runs):
+        for number, (band, multiples, some) in enumerate(runs):
             self.begun = begun + (1 - begun) * number / len(runs)
             self.share = (1 - begun) / len(runs)
-            lit = self._band(medium, shining, band, traced)
+            lit = self._band(medium, [shining[n] for n in some], band, traced)
             for other, factor in multiples.items():
-                _take(field, lit, other, factor)
+                _take(field, lit, some, other, factor)
         field.report.converged = field.report.residual <= self.settings.tolerance
         if traced is not None:
             field.variance = traced.variance
@@ -238,6 +284,7 @@ class _Work:
             flux=np.zeros((bands, 3, *shape), np.float32),
             report=Report("physical", self.device.label, energy=energy),
             by_light=np.zeros((lights, bands, *shape), np.float32),
+            direct_flux=np.zeros((bands, 3, *shape), np.float32),
         )
 
     def _trace(self, medium, lights, last):
@@ -261,15 +308,13 @@ class _Work:
         self._tell("direct", self.begun)
         lit = _Band.dark(medium.shape, len(lights))
         with self.clock("direct"):
-            parts = _parts(lights) if traced is None else list(enumerate(lights))
-            casts = [self._cast(medium, part, band, medium.sigma_t[band]) for _, part in parts]
             if traced is None:
-                lights = [part for _, part in parts]
-                handover = self._first_collisions(medium, lights, band, casts, lit)
+                handover = self._first_collisions(medium, lights, band, lit)
             else:
                 handover = _handed_over(medium, band, traced, lit)
-            for (number, _), unscattered in zip(parts, casts, strict=True):
-                lit.by_light[number] += unscattered.direct
+                for number, light in enumerate(lights):
+                    cast = self._cast(medium, light, band, medium.sigma_t[band], shadowed=False)
+                    lit.add_unscattered(number, cast)
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
         self._tell("solve", self.begun + self.share)
@@ -279,21 +324,23 @@ class _Work:
         if self.progress is not None:
             self.progress(stage, fraction)
 
-    def _cast(self, medium, light, band, sigma_t):
+    def _cast(self, medium, light, band, sigma_t, shadowed=True):
         shadow = getattr(light, "shadow_density", None)
-        if shadow is not None:
+        if shadow is not None and shadowed:
             medium = medium.altered(density=shadow)
         rays = _RAYS_OF_SKY if isinstance(light, (Sky, Emission)) else _RAYS
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel)
 
-    def _first_collisions(self, medium, lights, band, casts, lit):
+    def _first_collisions(self, medium, lights, band, lit):
         """The `_Handover` of first collisions; what else they tell goes to `lit`."""
         handover = _Handover(medium)
-        for light, unscattered in zip(lights, casts, strict=True):
-            if _is_uniform(light, medium, band):
-                self._take_missing(medium, light, band, unscattered, handover, lit)
+        for number, part in _parts(lights):  # one at a time, for a cast takes much memory
+            unscattered = self._cast(medium, part, band, medium.sigma_t[band])
+            if _is_uniform(part, medium, band):
+                self._take_missing(medium, part, band, unscattered, handover, lit)
             else:
-                self._take_collided(medium, light, band, unscattered, handover, lit)
+                self._take_collided(medium, part, band, unscattered, handover, lit)
+            lit.add_unscattered(number, unscattered)
         return handover
 
     def _take_collided(self, medium, light, band, unscattered, handover, lit):
@@ -354,6 +401,8 @@ class _Work:
         depth = _depth(medium, medium.sigma_t[band])
         source = handover.source(depth * (1 - medium.albedo[band] * medium.g[band]))
         scale = float(np.abs(source.power).max())
+        if not np.isfinite(scale):
+            raise LightError("The light is too strong to reckon with; lower its strength.")
         if scale == 0:
             return
         lattice = self._lattice(medium, band, depth)
@@ -419,6 +468,27 @@ def _distinct(medium, lights):
     return runs
 
 
+def _runs(medium, lights, apart):
+    """[(band to solve, {band: its multiple}, numbers of its lights)].
+
+    apart  whether lights may be solved apart: in a grey medium each is then solved once, whatever
+           its colour, and not once in each band
+    """
+    everything = list(range(len(lights)))
+    if not apart:
+        return [(band, multiples, everything) for band, multiples in _distinct(medium, lights)]
+    runs = []
+    for number in everything:
+        for band, multiples in _distinct(medium, [lights[number]]):
+            for alike, others, numbers in runs:
+                if (alike, others) == (band, multiples):
+                    numbers.append(number)
+                    break
+            else:
+                runs.append((band, multiples, [number]))
+    return runs
+
+
 def _parts(lights):
     """[(number of its light, light)]: skies divided in what is even and what is not."""
     return [
@@ -456,27 +526,30 @@ def _handed_over(medium, band, traced, lit):
 
 def _is_uniform(light, medium, band):
     """Whether a light is the same from everywhere, and less of it is absorbed than scattered."""
+    uniform = isinstance(light, Sky) and not callable(light.radiance) and medium.occlusion is None
+    if not uniform or medium.sigma_a[band] > medium.sigma_s[band]:
+        return False
     # Of light that is missing far more times over than there is, too few digits would be left.
-    thin = _depth(medium, medium.sigma_a[band]).max() <= _MOST_MISSING
-    bright = thin and medium.sigma_a[band] <= medium.sigma_s[band]
-    uniform = isinstance(light, Sky) and not callable(light.radiance)
-    return uniform and bright and medium.occlusion is None
+    return _depth(medium, medium.sigma_a[band]).max() <= _MOST_MISSING
 
 
-def _take(field, lit, band, factor):
-    """Put the light of a solved band, times a factor, in its place in the field."""
+def _take(field, lit, numbers, band, factor):
+    """Add the light of a run, times a factor, to its band of the field; numbers are its lights'."""
     given = field.by_light.shape[0]  # behind them comes the medium's emission
-    field.by_light[:, band] = factor * lit.by_light[:given]
-    field.direct[band] = factor * lit.by_light.sum(axis=0)
-    field.fluence[band] = factor * lit.fluence
-    field.flux[band] = factor * lit.flux
+    for number, light in zip(numbers, lit.by_light, strict=True):
+        field.direct[band] += factor * light
+        if number < given:
+            field.by_light[number, band] += factor * light
+    field.direct_flux[band] += factor * lit.direct_flux
+    field.fluence[band] += factor * lit.fluence
+    field.flux[band] += factor * lit.flux
     report = field.report
     for where, power in lit.energy.items():
-        report.energy[where][band] = factor * power
+        report.energy[where][band] += factor * power
     report.steps = max(report.steps, lit.steps)
     report.residual = max(report.residual, lit.residual)
 
 
 def _depth(medium, sigma):
     """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m."""
-    return (sigma * medium.voxel_size) * medium.density.astype(float)
+    return np.minimum((sigma * medium.voxel_size) * medium.density.astype(float), _DEEPEST)

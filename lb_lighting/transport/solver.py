@@ -96,22 +96,22 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     clock = Clock()
     with clock("prepare"):
         used = devices.choose(device)
-        occluded = medium.occlusion is not None
-        needed = require_memory(medium.shape, settings, used, medium.bands, occluded)
+        lights, occluded = list(lights), medium.occlusion is not None
+        needed = require_memory(medium.shape, settings, used, medium.bands, occluded, len(lights))
     model = MODELS[settings.model]
     return model.solve(medium, lights, settings, used, clock, needed, progress, cancel)
 
 
-def require_memory(shape, settings=None, device=None, bands=3, occluded=True):
+def require_memory(shape, settings=None, device=None, bands=3, occluded=True, lights=4):
     """Refuse a domain of `shape` voxels that is too large for the device, before it is made.
 
     settings and device are those of `solve`. Before the medium is known it is taken to have the
-    most that a scene can bring: three bands, and opaque voxels.
+    most that scenes bring: three bands, opaque voxels, and hardly ever more than four lights.
     Returns the bytes needed; DeviceError says the largest resolution that fits.
     """
     settings = settings or Settings()
     chosen = devices.choose(device)
     plan = MODELS[settings.model].plan
     return devices.require_memory(
-        chosen, shape, lambda s: plan(s, settings, chosen, bands, occluded)
+        chosen, shape, lambda s: plan(s, settings, chosen, bands, occluded, lights)
     )

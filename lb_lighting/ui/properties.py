@@ -52,7 +52,7 @@ ROLES = [
     ("AUTO", "Automatic", "Solid where the material has a volume, foliage where it has none"),
     ("FOLIAGE", "Foliage", "Leaves and twigs: surfaces that are lit as a cloud of leaves"),
     ("SOLID", "Solid", "A closed body of a translucent material"),
-    ("OCCLUDER", "Occluder", "A closed body that stops all light"),
+    ("OCCLUDER", "Occluder", "Wood, ground or walls: stops all light, and throws back its colour"),
 ]
 
 

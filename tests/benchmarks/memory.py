@@ -20,6 +20,7 @@ from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 
 EDGES = (96, 160)  # voxels
+PHYSICAL = "physical"  # stands for a kernel: that of the physical model
 _ROOT = Path(__file__).parents[2]
 
 
@@ -32,7 +33,10 @@ def plan_and_peak(wanted, kernel, edge):
 
 def measure(wanted, kernel, edge):
     """The same for this process."""
-    settings = Settings("paper", steps=2, kernel=kernel)
+    if kernel == PHYSICAL:
+        settings = Settings(most_steps=2, divide=1)
+    else:
+        settings = Settings("paper", steps=2, kernel=kernel)
     _solve(8, settings, wanted)
     before = _peak_memory()
     field = _solve(edge, settings, wanted)
@@ -55,12 +59,12 @@ def _peak_memory():
 
 def rows():
     for found in device.devices():
-        for kernel in ("final",) if found.kind == "NumPy" else KERNELS:
+        for kernel in (PHYSICAL, *(("final",) if found.kind == "NumPy" else KERNELS)):
             for edge in EDGES:
                 planned, peak = plan_and_peak(found.label, kernel, edge)
                 yield {
                     "device": found.label,
-                    "kernel": "NumPy" if found.kind == "NumPy" else kernel,
+                    "kernel": "NumPy" if (found.kind, kernel) == ("NumPy", "final") else kernel,
                     "grid": "x".join([str(edge)] * 3),
                     "planned MiB": planned / 2**20,
                     "peak MiB": peak / 2**20,

@@ -30,7 +30,8 @@ from lb_lighting.output.volume import (
 )
 from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights import PointLight, Sky, Sun
-from lb_lighting.transport.medium import Domain
+from lb_lighting.transport.medium import Domain, Medium
+from lb_lighting.transport.solver import solve
 from tests.scenery import read_only, source
 
 needs_posix = pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
@@ -147,6 +148,15 @@ class TestVolumeLight:
         assert not flux[:, 0].any()
         assert flux[0, 1:] == pytest.approx(-1)
         assert flux[1, 1:] == pytest.approx(-0.5)
+
+    def test_in_a_white_furnace_light_has_no_direction(self):
+        medium = Medium(np.ones((6, 7, 8)), 1.0, 0.5, 0.0, 0.85)
+        field = solve(medium, [Sky(1.0)])
+        assert np.abs(field.flux).max() > 0.1  # as unscattered light flows in, scattered flows out
+        light, others, _beams = volume_light(field, [Sky(1.0)], "REPLACE")
+        assert light == pytest.approx(1, rel=1e-5)
+        for name in FLUX:
+            assert others[name] == pytest.approx(0, abs=1e-6)
 
     @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
     def test_light_that_cannot_be_told_apart_comes_from_everywhere(self, mode):
