@@ -43,8 +43,9 @@ _TURNS = np.array([(0, 1, 2), (2, 0, 1), (1, 2, 0)])
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of x^3 = x + 1
 _RAYS_AT_ONCE = 2**18  # that a light makes
-# Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, by that of all.
-_SUNS, _SUN_PER_EDGE = 2.5, 1 / 5
+# Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, where the domain
+# has few voxels along its edge. Where it has more, a single one matters less, and rays are many.
+_SUNS, _SUN_PER_EDGE, _FEW_VOXELS = 2.5, 2, 48
 _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 
 
@@ -156,7 +157,7 @@ class Sky:
             towards = _even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
-        of_each = max(1, round(_SUN_PER_EDGE * per_edge))
+        of_each = _SUN_PER_EDGE if max(medium.shape) <= _FEW_VOXELS else 1
         return _beams(medium.domain, -towards, irradiance / count, of_each)
 
     def parts(self):

@@ -20,7 +20,7 @@ from .medium import repeated
 from .physical_numpy import NumpyLattice, Source
 
 # Rays along a voxel's edge; those of a sky, and of a medium that shines, go in many directions.
-_RAYS, _RAYS_OF_SKY = 6, 5
+_RAYS, _RAYS_OF_SKY = 6, 4
 _PHOTONS_A_VOXEL = 64
 _CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
 _CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
