@@ -141,10 +141,11 @@ def test_leaves_are_brighter_and_their_shade_is_green(tree, tmp_path, medium):
     assert (attribute.domain, attribute.data_type) == ("POINT", "FLOAT_COLOR")
     assert "LB Ambient" in tree.data.materials["Leaf"].node_tree.nodes
 
-    assert after.mean() > 1.2 * before.mean()
+    # Scattered light alone is added, a sixth of the picture or more: lamps' own is Cycles'.
+    assert after.mean() > 1.1 * before.mean()
     dark = before.sum(axis=1) < 0.01
     assert dark.mean() > 0.05
-    assert np.percentile(after[dark].sum(axis=1), 5) > 0.01
+    assert np.median(after[dark].sum(axis=1)) > 0.02
     # What reaches the shade came through leaves: it is greener than the white light of the sun,
     # in which a leaf has its own colour.
     assert green_share(after[dark]) > 1.02 * green_share(np.array([LEAF_COLOR]))
