@@ -145,7 +145,8 @@ def test_leaves_are_brighter_and_their_shade_is_green(tree, tmp_path, medium):
     assert after.mean() > 1.1 * before.mean()
     dark = before.sum(axis=1) < 0.01
     assert dark.mean() > 0.05
-    assert np.median(after[dark].sum(axis=1)) > 0.02
+    added = (after - before)[dark].sum(axis=1)
+    assert np.median(added) > 0.002  # of leaves that throw back a tenth, in the shade of others
     # What reaches the shade came through leaves: it is greener than the white light of the sun,
     # in which a leaf has its own colour.
     assert green_share(after[dark]) > 1.02 * green_share(np.array([LEAF_COLOR]))
