@@ -29,8 +29,8 @@
     const int nx, const int ny, const int nz, const uint stride_floats, const uint guard,  \
         __global const float *light, __global const float *depths,                         \
         __global const float *power, __global const float *drift,                          \
-        __global const float *occlusion, __global const float *occlusion_albedo, const float first, const float second,     \
-        const float loss
+        __global const float *occlusion, __global const float *occlusion_albedo,           \
+        const float first, const float second, const float loss
 
 typedef struct {
     float even, odd, absorbed; // shares that a step changes
@@ -96,9 +96,9 @@ inline float inflow(const int inside, const float came, const float went, const 
         away[m] = 0.0f;                                                                    \
     }
 #define MEET_PAIR(m, back, cx, cy, cz)                                                     \
-    MEET(m, IS_INSIDE(cx, cy, cz), STEP(cx, cy, cz))                              \
-    MEET(back, IS_INSIDE(-(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))         \
-    reflected += away[m] * OUT(back);                           \
+    MEET(m, IS_INSIDE(cx, cy, cz), STEP(cx, cy, cz))                                       \
+    MEET(back, IS_INSIDE(-(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))                  \
+    reflected += away[m] * OUT(back);                                                      \
     reflected += away[back] * OUT(m);
 #define ADD_AWAY(m, back, cx, cy, cz) sum += away[m] + away[back];
 #define SEND_BACK(m, back, cx, cy, cz)                                                     \
@@ -135,6 +135,16 @@ inline float inflow(const int inside, const float came, const float went, const 
         return;                                                                            \
     const int z = (int)(voxel % nz), row = (int)(voxel / nz), y = row % ny, x = row / ny;
 
+// How a step begins, and all that is read of one: a voxel's rates, and the light f that flows in.
+#define GATHER                                                                             \
+    LOCATE                                                                                 \
+    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);                    \
+    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);            \
+    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);              \
+    float f[DIRECTIONS];                                                                   \
+    FOR_EACH_PAIR(PULL)                                                                    \
+    REFLECT
+
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
 // The density that collisions lead to, of all light f, in isotropic light of weights w.
@@ -162,13 +172,7 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
 
 __kernel void update(PARAMETERS, __global float *next)
 {
-    LOCATE
-    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
-    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
-    float f[DIRECTIONS];
-    FOR_EACH_PAIR(PULL)
-    REFLECT
+    GATHER
     const float density = isotropic(f, axis, diagonal), emitted = power[voxel] / MEAN_LENGTH;
     const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
     {
@@ -189,14 +193,9 @@ __kernel void update(PARAMETERS, __global float *next)
 
 __kernel void read_fluence(PARAMETERS, __global float *fluence)
 {
-    LOCATE
-    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
-    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
-    float f[DIRECTIONS];
-    FOR_EACH_PAIR(PULL)
-    REFLECT
-    const float density = isotropic(f, axis, diagonal), half_emitted = 0.5f * power[voxel] / MEAN_LENGTH;
+    GATHER
+    const float density = isotropic(f, axis, diagonal);
+    const float half_emitted = 0.5f * power[voxel] / MEAN_LENGTH;
     fluence[voxel] = 6 * W_AXIS * (density + half_emitted) * axis.lingered +
                      12 * W_DIAGONAL * (density + DIAGONAL * half_emitted) * diagonal.lingered;
 }
@@ -212,13 +211,7 @@ __kernel void read_fluence(PARAMETERS, __global float *fluence)
 
 __kernel void read_flux(PARAMETERS, __global float *flux)
 {
-    LOCATE
-    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);
-    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);
-    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
-    float f[DIRECTIONS];
-    FOR_EACH_PAIR(PULL)
-    REFLECT
+    GATHER
     const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
     float jx = 0.0f, jy = 0.0f, jz = 0.0f;
     {
@@ -239,13 +232,13 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
 // Light of one direction that leaves the domain, by the first face of those it passes, and what
 // the occluder downstream keeps of it.
 #define ADD_LOST(m, cx, cy, cz)                                                            \
-    if (IS_INSIDE(-(cx), -(cy), -(cz))) {                                         \
+    if (IS_INSIDE(-(cx), -(cy), -(cz))) {                                                  \
         ADD_STOPPED(m, STEP(cx, cy, cz))                                                   \
     } else {                                                                               \
-        const float leaving = (1.0f - share) * OUT(m);    \
-        if (!IS_INSIDE(-(cx), 0, 0))                                              \
+        const float leaving = (1.0f - share) * OUT(m);                                     \
+        if (!IS_INSIDE(-(cx), 0, 0))                                                       \
             sum[(cx) > 0] += leaving;                                                      \
-        else if (!IS_INSIDE(0, -(cy), 0))                                         \
+        else if (!IS_INSIDE(0, -(cy), 0))                                                  \
             sum[2 + ((cy) > 0)] += leaving;                                                \
         else                                                                               \
             sum[4 + ((cz) > 0)] += leaving;                                                \

@@ -6,11 +6,9 @@ picture less the same picture without bounces; ours is what the leaves emit. Fig
 over 4x4 pixels, and for leaves of three colours at once, which are the three bands of a picture.
 """
 
-import os
 import sys
 import zlib
 from collections import defaultdict
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -28,7 +26,7 @@ from lb_lighting.transport import trace  # noqa: E402
 from lb_lighting.transport.field import Report  # noqa: E402
 from tests.benchmarks import crowns  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
-from tests.output.rendering import render  # noqa: E402
+from tests.output.rendering import render, silent_stdout  # noqa: E402
 
 REFERENCES = Path(__file__).parents[2] / "build" / "references"
 SIZE, BLOCK = 160, 4  # pixels: of a picture, and of what figures average over
@@ -212,19 +210,6 @@ def picture(bounces, samples, seed=0):
         setattr(scene.cycles, f"{kind}_bounces", bounces)
     with TemporaryDirectory() as folder, silent_stdout():
         return render(scene, Path(folder) / "picture.exr", SIZE, samples)
-
-
-@contextmanager
-def silent_stdout():
-    """Blender prints a line a sample from C, where Python cannot catch it."""
-    kept = os.dup(1)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 in LB light alone. Leaves the pictures, and the lit .blend files, in build/demo.
 """
 
-import contextlib
-import os
 from pathlib import Path
 from time import perf_counter
 
@@ -19,6 +17,7 @@ import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
 from lb_lighting.output.volume import DENSITY_GRID  # noqa: E402
+from tests.output.rendering import silent_stdout  # noqa: E402
 
 from . import scenes  # noqa: E402
 
@@ -98,19 +97,6 @@ def render(name):
     with silent_stdout():
         bpy.ops.render.render(write_still=True)
     print(f"build/demo/{path.name}: {perf_counter() - start:.0f} s", flush=True)
-
-
-@contextlib.contextmanager
-def silent_stdout():
-    """Blender prints a line a sample from C, where Python cannot catch it."""
-    kept = os.dup(1)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 main()

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Small Cycles renders read back as linear radiance."""
 
+import contextlib
+import os
+
 import bpy
 import numpy as np
 
@@ -55,3 +58,16 @@ def centroid(picture):
     brightness = picture.sum(axis=2)
     rows, columns = np.indices(brightness.shape)
     return np.array([(columns * brightness).sum(), (rows * brightness).sum()]) / brightness.sum()
+
+
+@contextlib.contextmanager
+def silent_stdout():
+    """Blender prints a line a sample from C, where Python cannot catch it."""
+    kept = os.dup(1)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
