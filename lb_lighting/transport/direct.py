@@ -25,7 +25,6 @@ _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
 # voxels on half the border.
 _MOST, _FOR_ALL = 2**22, 4
 _BORDER = 1e-6  # voxels from a face of the domain within which a ray comes from outside
-_DEEPEST = 1e30  # optical depth of a voxel that kernels still can square the edge of
 _SLOWEST = 1e-18  # a direction's component closer to zero than this is taken for this
 _THIN = 0.5  # optical depth up to which series are used
 
@@ -138,12 +137,7 @@ def _voxels(medium, band, sigma_t, emission):
         reflecting = occlusion * medium.occlusion_albedo[band]
     if emission is not None:
         glow = emission / max(float(emission.max()), np.finfo(np.float32).tiny)
-    return _Voxels(np.minimum(_depth(medium, sigma_t), _DEEPEST), occlusion, reflecting, glow)
-
-
-def _depth(medium, sigma_t):
-    """(nx, ny, nz) float64, the optical depth of a voxel's edge."""
-    return float(sigma_t) * medium.voxel_size * medium.density.astype(float)
+    return _Voxels(medium.depth(sigma_t), occlusion, reflecting, glow)
 
 
 def _march(device, voxels, directed):
@@ -219,7 +213,7 @@ def _toward(sun):
 def _cast(medium, sigma_t, unit, scores, toward, entered):
     """The `Cast` of what a march has read; `toward` where all its rays have that direction."""
     tallies, reflected, sums = scores
-    h, depth = medium.voxel_size, _depth(medium, sigma_t)
+    h, depth = medium.voxel_size, medium.depth(sigma_t)
     score = tallies[_SCORE]
     directed = toward[:, None, None, None] * score if toward is not None else tallies[_DIRECTION]
     shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, depth)

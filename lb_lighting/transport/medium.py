@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import MediumError
 
 LARGEST = float(np.finfo(np.float32).max)  # of any quantity: devices compute in float32
+DEEPEST = 1e30  # optical depth of a voxel that kernels still can square the edge of
 SMALLEST_EDGE = 3  # voxels: a boundary node on either side and one node between them
 
 
@@ -160,6 +161,13 @@ class Medium:
         grids = ("density", "emission", "occlusion", "occlusion_albedo")
         changes = {name: repeated(getattr(self, name), pieces) for name in grids}
         return self.altered(voxel_size=self.voxel_size / pieces, **changes)
+
+    def depth(self, sigma):
+        """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m.
+
+        At most 1e30, which float32 can still reckon with.
+        """
+        return np.minimum((sigma * self.voxel_size) * self.density.astype(float), DEEPEST)
 
     def alike(self, band, other):
         """Whether light of two bands meets the same, but for the medium's emission."""

@@ -34,7 +34,6 @@ _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is ra
 _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 _MOST_PIECES = 4
-_DEEPEST = 1e30  # optical depth of a voxel that float32 can still reckon with
 
 
 def solve(medium, lights, settings, device, clock, needed, progress, cancel):
@@ -249,6 +248,8 @@ class _Work:
     clock: object
     progress: object
     cancel: object
+    begun: float = 0.0  # the share of all work before the band at hand
+    share: float = 1.0  # and that of this band
 
     def light(self, medium, lights):
         """The `Field` of the lights and the medium's emission."""
@@ -398,7 +399,7 @@ class _Work:
 
     def _scatter(self, medium, band, handover, lit):
         """Add to the `_Band` what the lattice makes of a `_Handover`."""
-        depth = _depth(medium, medium.sigma_t[band])
+        depth = medium.depth(medium.sigma_t[band])
         source = handover.source(depth * (1 - medium.albedo[band] * medium.g[band]))
         scale = float(np.abs(source.power).max())
         if not np.isfinite(scale):
@@ -416,7 +417,7 @@ class _Work:
         left, stopped = lattice.lost()
         watts = scale * medium.voxel_size**2
         lit.energy["left"] += watts * left
-        absorbed = np.sum(_depth(medium, medium.sigma_a[band]) * fluence)
+        absorbed = np.sum(medium.depth(medium.sigma_a[band]) * fluence)
         lit.energy["absorbed"] += watts * (absorbed + stopped)
 
     def _lattice(self, medium, band, depth):
@@ -530,7 +531,7 @@ def _is_uniform(light, medium, band):
     if not uniform or medium.sigma_a[band] > medium.sigma_s[band]:
         return False
     # Of light that is missing far more times over than there is, too few digits would be left.
-    return _depth(medium, medium.sigma_a[band]).max() <= _MOST_MISSING
+    return medium.depth(medium.sigma_a[band]).max() <= _MOST_MISSING
 
 
 def _take(field, lit, numbers, band, factor):
@@ -548,8 +549,3 @@ def _take(field, lit, numbers, band, factor):
         report.energy[where][band] += factor * power
     report.steps = max(report.steps, lit.steps)
     report.residual = max(report.residual, lit.residual)
-
-
-def _depth(medium, sigma):
-    """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m."""
-    return np.minimum((sigma * medium.voxel_size) * medium.density.astype(float), _DEEPEST)
