@@ -26,7 +26,6 @@
 #else
 #define TALLIES 4
 #endif
-#define REFLECTED_TALLIES 7 // weight, and place and direction as above
 
 // What a work-item counts for all its rays.
 #define STOPPED 6 // behind the light that left through the faces -x, +x, -y, +y, -z, +z
@@ -184,13 +183,7 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
 #ifdef OCCLUDED
             if (occlusion[next] > 0.0f) {
                 const float stopped = weight * occlusion[next], back = weight * reflecting[next];
-                __global uint *r = reflected + REFLECTED_TALLIES * (size_t)voxel;
-                const size_t above = REFLECTED_TALLIES * voxels;
-                add(r + SCORE, above, back);
-                add_vector(r + POSITION, above, back, sx * (x - 0.5f), sy * (y - 0.5f),
-                           sz * (z - 0.5f));
-                add(r + DIRECTION + (by_x ? 0 : by_y ? 1 : 2), above, // Lambert's mean cosine
-                    back * (by_x ? -sx : by_y ? -sy : -sz) * (2 / 3.0f));
+                add(reflected + voxel, voxels, back);
                 sum[STOPPED] += in_units(stopped - back);
                 weight -= stopped;
             }

@@ -6,8 +6,8 @@
 // voxel upstream is always a fixed number of floats away; what is read beyond the domain's faces
 // is other light, or the guard, and is not used.
 //
-// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT and REFLECTED,
-// and OCCLUSION where there is any.
+// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
+// CROWDED, and OCCLUSION where there is any.
 
 #define DIAGONAL 1.41421356f
 #define DIRECTIONS 18
@@ -28,7 +28,9 @@
 #define PARAMETERS                                                                         \
     const int nx, const int ny, const int nz, const uint stride_floats, const uint guard,  \
         __global const float *light, __global const float *depths,                         \
+        __global const uchar *open_faces,                                                  \
         __global const float *power, __global const float *drift,                          \
+        __global const float *reflections,                                                 \
         __global const float *occlusion, __global const float *occlusion_albedo,           \
         const float first, const float second, const float loss
 
@@ -52,7 +54,7 @@ inline Rates rates(const float length, const float depth, const float first, con
     return r;
 }
 
-// The share of light leaving the domain from a voxel that comes back.
+// The share of light leaving a voxel through an open face that comes back.
 inline float returned(const int longest, const float depth, const float first)
 {
     return REFLECTED / (1.0f + 1.0f / (longest * depth * first));
@@ -66,38 +68,57 @@ inline float returned(const int longest, const float depth, const float first)
 
 #define STEP(cx, cy, cz) (((cx) * ny + (cy)) * nz + (cz))
 
-// What flows into a voxel along m, from the voxel upstream: light that `came` from there, or at the
-// domain's faces a share of what `went` there.
-inline float inflow(const int inside, const float came, const float went, const float share,
-                    const float open)
-{
-    return inside ? came * open : went * share;
-}
+// The bits of the faces that light leaves a voxel by, going (cx, cy, cz).
+#define THROUGH(cx, cy, cz)                                                                \
+    (((cx) < 0 ? 1 : 0) | ((cx) > 0 ? 2 : 0) | ((cy) < 0 ? 4 : 0) | ((cy) > 0 ? 8 : 0) |   \
+     ((cz) < 0 ? 16 : 0) | ((cz) > 0 ? 32 : 0))
+#define IS_OPEN(cx, cy, cz) (faces & THROUGH(cx, cy, cz))
 
-#ifdef OCCLUSION
-#define OPEN (1.0f - occlusion[voxel])
-#else
-#define OPEN 1.0f
-#endif
+
 #define OUT(m) light[(m) * stride + guard + voxel]
 #define CAME(m, step) light[(m) * stride + guard + voxel - (step)]
 
+// What opaque voxels stop of light between a voxel and the one (cx, cy, cz) upstream of it, either
+// way: BESIDE, by the two voxels that a diagonal leads between, and what then is left, PAST.
+#ifdef OCCLUSION
+#define OPAQUE(voxel) occlusion[voxel]
+#define REFLECTING(voxel) (occlusion[voxel] * occlusion_albedo[voxel])
+#define ABSORBING(voxel) (occlusion[voxel] * (1.0f - occlusion_albedo[voxel]))
+#define IS_DIAGONAL(cx, cy, cz) ((cx) * (cx) + (cy) * (cy) + (cz) * (cz) == 2)
+#define MEAN_BESIDE(OF, cx, cy, cz)                                                        \
+    (0.5f * (((cx) ? OF(voxel - STEP(cx, 0, 0)) : 0.0f) +                                  \
+             ((cy) ? OF(voxel - STEP(0, cy, 0)) : 0.0f) +                                  \
+             ((cz) ? OF(voxel - STEP(0, 0, cz)) : 0.0f)))
+#define BESIDE(OF, cx, cy, cz)                                                             \
+    (IS_DIAGONAL(cx, cy, cz)                                                               \
+         ? MEAN_BESIDE(OF, cx, cy, cz) *                                                   \
+               (1.0f + CROWDED * (1.0f - MEAN_BESIDE(OPAQUE, cx, cy, cz)))                 \
+         : 0.0f)
+#define PAST(cx, cy, cz) (1.0f - BESIDE(OPAQUE, cx, cy, cz))
+#define PASSED(cx, cy, cz) (PAST(cx, cy, cz) * (1.0f - occlusion[voxel]))
+#else
+#define PASSED(cx, cy, cz) 1.0f
+#endif
+
+// What flows into a voxel along m: what came from the voxel upstream, if there is any, and at open
+// faces some of what went there.
+#define PULL_ONE(m, back, cx, cy, cz)                                                      \
+    f[m] = IS_INSIDE(cx, cy, cz) ? CAME(m, STEP(cx, cy, cz)) * PASSED(cx, cy, cz) : 0.0f;  \
+    f[m] += IS_OPEN(-(cx), -(cy), -(cz)) ? OUT(back) * comes_back : 0.0f;
 #define PULL(m, back, cx, cy, cz)                                                          \
-    f[m] = inflow(IS_INSIDE(cx, cy, cz), CAME(m, STEP(cx, cy, cz)), OUT(back), share, OPEN); \
-    f[back] = inflow(IS_INSIDE(-(cx), -(cy), -(cz)), CAME(back, STEP(-(cx), -(cy), -(cz))), \
-                     OUT(m), share, OPEN);
+    PULL_ONE(m, back, cx, cy, cz)                                                          \
+    PULL_ONE(back, m, -(cx), -(cy), -(cz))
 
 // What opaque voxels around a voxel send back into it goes off evenly away from all of them.
 #ifdef OCCLUSION
-#define MEET(m, inside, step)                                                              \
-    if (inside) {                                                                          \
-        away[m] = occlusion[voxel - (step)] * occlusion_albedo[voxel - (step)];            \
-    } else {                                                                               \
-        away[m] = 0.0f;                                                                    \
-    }
+#define MEET(m, cx, cy, cz)                                                                \
+    away[m] = IS_INSIDE(cx, cy, cz)                                                        \
+                  ? BESIDE(REFLECTING, cx, cy, cz) +                                       \
+                        PAST(cx, cy, cz) * REFLECTING(voxel - STEP(cx, cy, cz))            \
+                  : 0.0f;
 #define MEET_PAIR(m, back, cx, cy, cz)                                                     \
-    MEET(m, IS_INSIDE(cx, cy, cz), STEP(cx, cy, cz))                                       \
-    MEET(back, IS_INSIDE(-(cx), -(cy), -(cz)), STEP(-(cx), -(cy), -(cz)))                  \
+    MEET(m, cx, cy, cz)                                                                    \
+    MEET(back, -(cx), -(cy), -(cz))                                                        \
     reflected += away[m] * OUT(back);                                                      \
     reflected += away[back] * OUT(m);
 #define ADD_AWAY(m, back, cx, cy, cz) sum += away[m] + away[back];
@@ -106,7 +127,7 @@ inline float inflow(const int inside, const float came, const float went, const 
     f[back] += away[back] * density;
 #define REFLECT                                                                            \
     {                                                                                      \
-        float away[DIRECTIONS], reflected = 0.0f, sum = 0.0f;                              \
+        float away[DIRECTIONS], reflected = reflections[voxel], sum = 0.0f;                \
         FOR_EACH_PAIR(MEET_PAIR)                                                           \
         FOR_EACH_AXIS(ADD_AWAY)                                                            \
         const float along_axes = sum;                                                      \
@@ -141,6 +162,8 @@ inline float inflow(const int inside, const float came, const float went, const 
     const Rates axis = rates(1.0f, depths[voxel], first, second, loss);                    \
     const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);            \
     const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);              \
+    const float comes_back = share / (1.0f - share);                                       \
+    const int faces = open_faces[voxel];                                                   \
     float f[DIRECTIONS];                                                                   \
     FOR_EACH_PAIR(PULL)                                                                    \
     REFLECT
@@ -166,8 +189,10 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
         const float even = 0.5f * (f[m] + f[back]), odd = 0.5f * (f[m] - f[back]);         \
         const float e = even - r.even * even + gained;                                     \
         const float o = odd - r.odd * odd + pushed * ((cx)*gx + (cy)*gy + (cz)*gz);        \
-        next[m * stride + guard + voxel] = e + o;                                          \
-        next[back * stride + guard + voxel] = e - o;                                       \
+        const float ahead = IS_OPEN(cx, cy, cz) ? 1.0f - share : 1.0f;                     \
+        const float behind = IS_OPEN(-(cx), -(cy), -(cz)) ? 1.0f - share : 1.0f;           \
+        next[m * stride + guard + voxel] = ahead * (e + o);                                \
+        next[back * stride + guard + voxel] = behind * (e - o);                            \
     }
 
 __kernel void update(PARAMETERS, __global float *next)
@@ -233,22 +258,21 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
 // the occluder downstream keeps of it.
 #define ADD_LOST(m, cx, cy, cz)                                                            \
     if (IS_INSIDE(-(cx), -(cy), -(cz))) {                                                  \
-        ADD_STOPPED(m, STEP(cx, cy, cz))                                                   \
+        ADD_STOPPED(m, -(cx), -(cy), -(cz))                                                \
     } else {                                                                               \
-        const float leaving = (1.0f - share) * OUT(m);                                     \
         if (!IS_INSIDE(-(cx), 0, 0))                                                       \
-            sum[(cx) > 0] += leaving;                                                      \
+            sum[(cx) > 0] += OUT(m);                                                       \
         else if (!IS_INSIDE(0, -(cy), 0))                                                  \
-            sum[2 + ((cy) > 0)] += leaving;                                                \
+            sum[2 + ((cy) > 0)] += OUT(m);                                                 \
         else                                                                               \
-            sum[4 + ((cz) > 0)] += leaving;                                                \
+            sum[4 + ((cz) > 0)] += OUT(m);                                                 \
     }
 #ifdef OCCLUSION
-#define ADD_STOPPED(m, step)                                                               \
-    sum[6] += occlusion[voxel + (step)] * (1.0f - occlusion_albedo[voxel + (step)]) *      \
-              OUT(m);
+#define ADD_STOPPED(m, cx, cy, cz)                                                         \
+    sum[6] += OUT(m) * (BESIDE(ABSORBING, cx, cy, cz) +                                    \
+                        PAST(cx, cy, cz) * ABSORBING(voxel - STEP(cx, cy, cz)));
 #else
-#define ADD_STOPPED(m, step)
+#define ADD_STOPPED(m, cx, cy, cz)
 #endif
 #define ADD_LOST_PAIR(m, back, cx, cy, cz)                                                 \
     ADD_LOST(m, cx, cy, cz) ADD_LOST(back, -(cx), -(cy), -(cz))
@@ -262,7 +286,6 @@ __kernel void read_lost(PARAMETERS, __global float *lost)
     for (int x = 0; x < nx; x++)
         for (int y = 0; y < ny; y++) {
             const size_t voxel = ((size_t)x * ny + y) * nz + z;
-            const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);
             FOR_EACH_PAIR(ADD_LOST_PAIR)
         }
     for (int n = 0; n < 7; n++)

@@ -50,8 +50,8 @@ class Cast:
     direct     (nx, ny, nz) W/m^2, its fluence
     flux       (3, nx, ny, nz) W/m^2, its net flux
     collided   `Moments` of its first collisions, before any albedo; with the directions before
-    reflected  `Moments` of what opaque matter reflects, by the voxel that it goes back into; with
-               the directions after. None without opaque voxels
+    reflected  (nx, ny, nz) W, what opaque matter reflects, by the voxel that it goes back into;
+               None without opaque voxels
     left       (6,) W, through the faces -x, +x, -y, +y, -z, +z
     stopped    W, what opaque matter absorbs
     entered    W, all of it: what collided, was reflected, left or was stopped
@@ -60,7 +60,7 @@ class Cast:
     direct: np.ndarray
     flux: np.ndarray
     collided: Moments
-    reflected: Moments | None
+    reflected: np.ndarray | None
     left: np.ndarray
     stopped: float
     entered: float
@@ -123,8 +123,8 @@ def plan(shape, occluded=True):
     voxels = prod(shape)
     buffers = {"unscattered light": 8 * _TALLIES * voxels, "voxels": 4 * voxels}
     if occluded:
-        buffers |= {"reflected light": 8 * _TALLIES * voxels, "opaque voxels": 8 * voxels}
-    kinds = _TALLIES * (2 if occluded else 1)
+        buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
+    kinds = _TALLIES + (1 if occluded else 0)
     work = 8 * (_TALLIES + 3) * voxels
     rays = 40 * 8 * 2 * _AT_ONCE
     return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
@@ -220,15 +220,10 @@ def _cast(medium, sigma_t, unit, scores, toward, entered):
     moments = (colliding * score, (colliding * h) * tallies[_POSITION], colliding * directed)
     collided = Moments(*(v.astype(np.float32) for v in moments))
     direct, flux = ((shining * v).astype(np.float32) for v in (score, directed))
-    returned = None
     if reflected is not None:
-        scales = (unit, unit * h, unit)
-        parts = (reflected[_SCORE], reflected[_POSITION], reflected[_DIRECTION])
-        returned = Moments(
-            *((u * v.astype(float)).astype(np.float32) for u, v in zip(scales, parts, strict=True))
-        )
+        reflected = (unit * reflected.astype(float)).astype(np.float32)
     left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
-    return Cast(direct, flux, collided, returned, left, stopped, entered)
+    return Cast(direct, flux, collided, reflected, left, stopped, entered)
 
 
 class NumpyMarch:
@@ -243,7 +238,7 @@ class NumpyMarch:
         self.tallies = np.zeros((_TALLIES if directed else _TALLIES - 3, voxels.depth.size))
         self.reflected = None
         if voxels.occlusion is not None:
-            self.reflected = np.zeros((_TALLIES, voxels.depth.size))
+            self.reflected = np.zeros((1, voxels.depth.size))
         self.sums = np.zeros(_EMITTED + 1)
 
     def read(self):
@@ -251,7 +246,7 @@ class NumpyMarch:
 
         reflected is None without opaque voxels.
         """
-        reflected = None if self.reflected is None else self.reflected.reshape(-1, *self.shape)
+        reflected = None if self.reflected is None else self.reflected.reshape(self.shape)
         return self.tallies.reshape(-1, *self.shape), reflected, self.sums
 
     def march(self, places, directions, weights, starts, faces):
@@ -303,9 +298,7 @@ class NumpyMarch:
         strides = np.array((self.shape[1] * self.shape[2], self.shape[2], 1))
         following = at + sign * strides[axis]
         if self.reflected is not None:
-            stopped = self._stop(
-                places[on], directions[on], weights[on], at[on], following[on], axis[on]
-            )
+            stopped = self._stop(weights[on], at[on], following[on])
             weights = weights.copy()
             weights[on] -= stopped
         places[rays, axis] = 0
@@ -335,17 +328,11 @@ class NumpyMarch:
                 self._add(self.tallies, _DIRECTION.start + n, at, total * directions[:, n])
         return weights
 
-    def _stop(self, places, directions, weights, at, following, axis):
+    def _stop(self, weights, at, following):
         """What the next voxels stop, (n,), after what they reflect is tallied."""
         stopped = weights * self.voxels.occlusion.flat[following]
         back = weights * self.voxels.reflecting.flat[following]
-        sign = np.where(directions < 0, -1, 1)
         self._add(self.reflected, _SCORE, at, back)
-        for n in range(3):
-            position = back * sign[:, n] * (places[:, n] - 0.5)
-            self._add(self.reflected, _POSITION.start + n, at, position)
-            normal = np.where(axis == n, -sign[:, n], 0)
-            self._add(self.reflected, _DIRECTION.start + n, at, 2 / 3 * back * normal)
         self.sums[_STOPPED] += (stopped - back).sum()
         return stopped
 

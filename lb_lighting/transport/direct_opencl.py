@@ -7,7 +7,7 @@ import pyopencl as cl
 from .device import context, program, queue
 
 UNIT = 2.0**30  # of a tally, in a weight of 1
-_REFLECTED, _SUMS = 7, 8  # tallies of a voxel, and sums, as in kernels/direct.cl
+_SUMS = 8  # as in kernels/direct.cl
 _GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
 
@@ -27,7 +27,7 @@ class OpenclMarch:
         grids = (voxels.depth, voxels.occlusion, voxels.reflecting, voxels.glow)
         self.grids = [self._upload(np.zeros(1) if grid is None else grid) for grid in grids]
         self.tallies = self._zeros(8 * self.kinds * voxels.depth.size)
-        self.reflected = self._zeros(8 * _REFLECTED * voxels.depth.size if occluded else 4)
+        self.reflected = self._zeros(8 * voxels.depth.size if occluded else 4)
         self.sums = self._zeros(8 * _SUMS * self.items)
 
     def march(self, places, directions, weights, starts, faces):
@@ -49,7 +49,7 @@ class OpenclMarch:
         sums = self._read(self.sums, np.int64).reshape(-1, _SUMS).sum(axis=0) / UNIT
         reflected = None
         if self.reflected.size > 4:
-            reflected = self._weights(self.reflected, _REFLECTED)
+            reflected = self._weights(self.reflected, 1)[0]
         return self._weights(self.tallies, self.kinds), reflected, sums
 
     def _weights(self, tally, kinds):

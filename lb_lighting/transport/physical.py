@@ -224,7 +224,7 @@ class _Handover:
 
     def __init__(self, medium):
         self.voxel_size = medium.voxel_size
-        self.power = np.zeros(medium.shape)
+        self.power, self.reflected = np.zeros((2, *medium.shape))
         self.place, self.direction = np.zeros((2, 3, *medium.shape))
 
     def add(self, moments, share, mean_cosine):
@@ -234,9 +234,18 @@ class _Handover:
         self.place += moments.position * (share / (area * self.voxel_size))
         self.direction += moments.direction * (share * mean_cosine / area)
 
-    def source(self, transport_depth):
-        """The `Source`; transport_depth is that of a voxel's edge, (nx, ny, nz)."""
-        return Source(self.power, transport_depth * self.place + self.direction)
+    def add_reflected(self, power):
+        """(nx, ny, nz) W that opaque voxels send into each voxel."""
+        self.reflected += power / self.voxel_size**2
+
+    def largest(self):
+        """W/m^2 of the voxel that is handed most."""
+        return float(np.maximum(np.abs(self.power).max(), self.reflected.max()))
+
+    def source(self, transport_depth, scale):
+        """The `Source`, over a scale; transport_depth is that of a voxel's edge, (nx, ny, nz)."""
+        drift = transport_depth * self.place + self.direction
+        return Source(self.power / scale, drift / scale, self.reflected / scale)
 
 
 @dataclass
@@ -349,7 +358,7 @@ class _Work:
         cast, share, straight = self._cast_forward(medium, light, band, unscattered)
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
-            handover.add(cast.reflected, 1.0, 1.0)
+            handover.add_reflected(cast.reflected)
         lit.fluence += cast.direct - unscattered.direct
         lit.flux += cast.flux - unscattered.flux
         collided = cast.collided.power.sum(dtype=float)
@@ -399,16 +408,16 @@ class _Work:
 
     def _scatter(self, medium, band, handover, lit):
         """Add to the `_Band` what the lattice makes of a `_Handover`."""
-        depth = medium.depth(medium.sigma_t[band])
-        source = handover.source(depth * (1 - medium.albedo[band] * medium.g[band]))
-        scale = float(np.abs(source.power).max())
+        scale = handover.largest()
         if not np.isfinite(scale):
             raise LightError("The light is too strong to reckon with; lower its strength.")
         if scale == 0:
             return
+        depth = medium.depth(medium.sigma_t[band])
+        transport_depth = depth * (1 - medium.albedo[band] * medium.g[band])
         lattice = self._lattice(medium, band, depth)
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
-        lattice.start(Source(source.power / scale, source.drift / scale))
+        lattice.start(handover.source(transport_depth, scale))
         lit.residual, lit.steps = self._converge(lattice)
         fluence = lattice.fluence().astype(float)
         lit.fluence += scale * fluence

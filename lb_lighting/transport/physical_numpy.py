@@ -5,10 +5,12 @@ runtime exists.
 It carries scattered light. f_m is the power that flows along direction m from a voxel to the next
 one, over the squared edge of a voxel, W/m^2. In a step it flows in, collides over the length l_m
 (voxels) between the two centres, and takes up what a source hands to the voxel. The state is the
-light after collision. docs/physics.md derives what stands here.
+light after collision; at open faces, less the share that comes back in the next step.
+docs/physics.md derives what stands here.
 """
 
 from dataclasses import dataclass
+from itertools import product
 from math import prod
 
 import numpy as np
@@ -41,21 +43,31 @@ _EXTRAPOLATED = 2 / 3  # transport mean free paths outside where the fluence wou
 _OUTWARD = float(WEIGHTS[MOVING[:, 0] > 0].sum())
 _SLOPE = 6 * _EXTRAPOLATED * _OUTWARD / MEAN_LENGTH
 REFLECTED = (_SLOPE - 1) / (_SLOPE + 1)
-"""The share of light that leaves a scattering medium at the domain's faces and comes back
+"""The share of light that leaves a scattering medium through an open face and comes back
 (negative: more is let out), which sets how far outside the fluence extrapolates to zero."""
+
+_OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
+CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
+"""How many more than one of the voxels beside a diagonal light on it meets: so many that with all
+directions it enters 3/2 voxels a voxel's edge, as straight lines of all directions do."""
+
+_EMPTY = 1e-2  # transport depth of a domain full of what a voxel holds, if that counts as nothing
 
 
 @dataclass(frozen=True)
 class Source:
     """What is handed to the lattice of one band in every step.
 
-    power  (nx, ny, nz) W/m^2, over the squared edge of a voxel
-    drift  (3, nx, ny, nz) W/m^2, power times its mean direction, and times its mean place from
-           the voxel's centre in transport mean free paths: either carries light on that far
+    power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
+    drift      (3, nx, ny, nz) W/m^2, power times its mean direction, and times its mean place from
+               the voxel's centre in transport mean free paths: either carries light on that far
+    reflected  (nx, ny, nz) W/m^2 or None, what opaque voxels send into each voxel besides what the
+               lattice brings them
     """
 
     power: np.ndarray
     drift: np.ndarray
+    reflected: np.ndarray | None = None
 
 
 def rates(depth, albedo, g):
@@ -76,13 +88,68 @@ def rates(depth, albedo, g):
 
 
 def returned(depth, albedo, g):
-    """(nx, ny, nz), the share of light leaving the domain from a voxel that comes back.
+    """(nx, ny, nz), the share of light leaving a voxel through an open face that comes back.
 
     `REFLECTED` where the domain would be thick if it were filled with what the voxel holds, and
     none where it is empty: what leaves there has scattered elsewhere.
     """
     with np.errstate(divide="ignore", over="ignore"):
         return REFLECTED / (1 + 1 / (max(depth.shape) * depth * (1 - albedo * g)))
+
+
+def open_faces(depth, albedo, g, occlusion=None):
+    """(nx, ny, nz) uint8, the bits of the faces -x, +x, -y, +y, -z, +z of a voxel that are open.
+
+    That is where the medium ends in a plane, as it does at the domain's faces: the nine voxels
+    beyond are empty, and what leaves in any of the five directions through it meets nothing more.
+    """
+    clear = np.zeros(depth.shape) == (0 if occlusion is None else occlusion)
+    empty = clear & (max(depth.shape) * depth * (1 - albedo * g) <= _EMPTY)
+    free = np.array([_is_free(empty, clear, c) for c in MOVING])
+    faces = np.zeros(depth.shape, np.uint8)
+    for axis, side in product(range(3), (0, 1)):
+        nine, outward = empty, np.zeros(3, int)
+        for across in {0, 1, 2} - {axis}:
+            step = np.eye(3, dtype=int)[across]
+            nine = nine & _at(nine, step, True) & _at(nine, -step, True)
+        outward[axis] = 2 * side - 1
+        ends = _at(nine, outward, True) & free[MOVING @ outward > 0].all(axis=0)
+        faces |= ends.astype(np.uint8) << (2 * axis + side)
+    return faces
+
+
+def through(c):
+    """The bits of the faces that light along c leaves a voxel by."""
+    return sum(1 << (2 * axis + (c[axis] > 0)) for axis in np.flatnonzero(c))
+
+
+def _is_free(empty, clear, c):
+    """(nx, ny, nz), whether what leaves each voxel along c meets nothing more.
+
+    empty  whether voxels hold nothing
+    clear  whether they hold nothing opaque, which is met beside the way, too
+    """
+    free, reach = _at(empty, c, True), 1
+    for part in _parts(c):
+        free &= _at(clear, part, True)
+    while reach < max(empty.shape):
+        free &= _at(free, reach * c, True)
+        reach *= 2
+    return free
+
+
+def _parts(c):
+    """The steps along axes of which c is the sum."""
+    return [c * unit for unit in np.eye(3, dtype=int) if c @ unit]
+
+
+def _at(values, step, outside):
+    """(nx, ny, nz), the values of the voxels that lie a step from each."""
+    found = np.full_like(values, outside)
+    if np.all(np.abs(step) < values.shape):
+        here, there = _overlap(-step, values.shape)
+        found[here] = values[there]
+    return found
 
 
 def _by_direction(depth):
@@ -103,7 +170,8 @@ class NumpyLattice:
         self.shape = depth.shape
         depth = np.asarray(depth, float)
         self.even, self.odd, self.absorbed = rates(depth, albedo, g)
-        self.returned = returned(depth, albedo, g)
+        share, opened = returned(depth, albedo, g), open_faces(depth, albedo, g, occlusion)
+        self.returned = np.stack([np.where(opened & through(c), share, 0) for c in MOVING])
         # Over the depth of a voxel, which leaves a number in empty ones.
         self.drifted = _by_direction(1.0) / (1 + _by_direction(depth * (1 - albedo * g)) / 2)
         self.lingered = _by_direction(1.0) / (1 + _by_direction(depth * (1 - albedo)) / 2)
@@ -111,7 +179,7 @@ class NumpyLattice:
         pull = np.where(self.even[0] > 0, self.even, _by_direction(1.0))
         self.pull = pull / np.tensordot(WEIGHTS, pull, axes=1)
         self.occlusion = None if occlusion is None else np.asarray(occlusion, float)
-        self.occlusion_albedo = np.broadcast_to(np.asarray(occlusion_albedo, float), self.shape)
+        self.reflecting = None if occlusion is None else self.occlusion * occlusion_albedo
 
     @staticmethod
     def buffers(shape, occluded):
@@ -129,21 +197,23 @@ class NumpyLattice:
         self.emitted = weight * LENGTHS[:, None, None, None] / MEAN_LENGTH * source.power
         along = np.tensordot(MOVING, source.drift, axes=1)
         self.drift = weight / SECOND_MOMENT * self.drifted * along
+        self.reflected = 0.0 if source.reflected is None else source.reflected
         self.light = np.zeros((18, *self.shape))
 
     def advance(self, steps):
         """Take so many steps."""
         for _ in range(steps):
-            self.light = self._collided(self._streamed())
+            self.light = (1 - self.returned) * self._collided(self._streamed())
 
     def _streamed(self):
         """(18, nx, ny, nz): what flows into each voxel."""
-        f = self.returned * self.light[OPPOSITE]  # stays where there is no voxel upstream
+        f = (self.returned / (1 - self.returned) * self.light)[OPPOSITE]
         for m, c in enumerate(MOVING):
             here, upstream = _overlap(c, self.shape)
-            f[m][here] = self.light[m][upstream]
+            arriving = self.light[m][upstream]
             if self.occlusion is not None:
-                f[m][here] *= 1 - self.occlusion[here]
+                arriving = arriving * self._past(c)[here] * (1 - self.occlusion[here])
+            f[m][here] += arriving
         return f if self.occlusion is None else f + self._reflected()
 
     def _reflected(self):
@@ -155,11 +225,23 @@ class NumpyLattice:
         away = np.zeros_like(self.light)  # share of isotropic light that goes back from there
         for m, c in enumerate(MOVING):
             here, upstream = _overlap(c, self.shape)
-            away[m][here] = (self.occlusion * self.occlusion_albedo)[upstream]
-        reflected = np.sum(away[OPPOSITE] * self.light, axis=0)
+            beside = self._beside(self.reflecting, c)[here]
+            away[m][here] = beside + self._past(c)[here] * self.reflecting[upstream]
+        reflected = self.reflected + np.sum(away[OPPOSITE] * self.light, axis=0)
         away *= WEIGHTS[:, None, None, None]
         total = away.sum(axis=0)
         return away * np.divide(reflected, total, out=np.zeros(self.shape), where=total > 0)
+
+    def _beside(self, share, c):
+        """(nx, ny, nz), what is stopped of light to each voxel by the two that a diagonal c leads
+        between, of which that share counts; 0 along axes."""
+        if np.abs(c).sum() == 1:
+            return np.zeros(self.shape)
+        occlusion, share = (_mean_beside(values, c) for values in (self.occlusion, share))
+        return share * (1 + CROWDED * (1 - occlusion))
+
+    def _past(self, c):
+        return 1 - self._beside(self.occlusion, c)
 
     def _collided(self, f):
         even, odd = (f + f[OPPOSITE]) / 2, (f - f[OPPOSITE]) / 2
@@ -193,13 +275,17 @@ class NumpyLattice:
             for axis in np.flatnonzero(c):  # a diagonal leaves through the first face of the two
                 face = np.zeros(self.shape, bool)
                 face[(slice(None),) * axis + (-1 if c[axis] > 0 else 0,)] = True
-                leaving = (1 - self.returned) * self.light[m]
-                left[2 * axis + (c[axis] > 0)] += leaving[face & outside].sum()
+                left[2 * axis + (c[axis] > 0)] += self.light[m][face & outside].sum()
                 outside &= ~face
             if self.occlusion is not None:
-                kept = self.occlusion[here] * (1 - self.occlusion_albedo[here])
+                kept = self.occlusion - self.reflecting
+                kept = self._beside(kept, c)[here] + self._past(c)[here] * kept[here]
                 stopped += np.sum(kept * self.light[m][upstream])
         return left, stopped
+
+
+def _mean_beside(values, c):
+    return sum(_at(values, -part, 0) / 2 for part in _parts(c))
 
 
 def _overlap(c, shape):

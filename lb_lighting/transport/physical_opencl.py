@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 
 from .device import context, program, queue
-from .physical_numpy import MEAN_LENGTH, REFLECTED, SECOND_MOMENT, WEIGHTS
+from .physical_numpy import CROWDED, MEAN_LENGTH, REFLECTED, SECOND_MOMENT, WEIGHTS, open_faces
 
 _GROUP = 64  # voxels that a work-group takes
 _CONSTANTS = tuple(
@@ -18,6 +18,7 @@ _CONSTANTS = tuple(
         ("MEAN_LENGTH", MEAN_LENGTH),
         ("SECOND_MOMENT", SECOND_MOMENT),
         ("REFLECTED", REFLECTED),
+        ("CROWDED", CROWDED),
     )
 )
 
@@ -38,8 +39,10 @@ class OpenCLLattice:
         self.states = [self._buffer(floats) for _ in range(2)]
         self.power, self.drift = self._buffer(self.voxels), self._buffer(3 * self.voxels)
         self.depth = self._upload(depth)
-        self.occlusion = self.occlusion_albedo = None
+        self.faces = self._upload(open_faces(depth, albedo, g, occlusion), np.uint8)
+        self.reflected = self.occlusion = self.occlusion_albedo = None
         if occlusion is not None:
+            self.reflected = self._buffer(self.voxels)
             self.occlusion = self._upload(occlusion)
             self.occlusion_albedo = self._upload(np.broadcast_to(occlusion_albedo, self.shape))
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
@@ -52,16 +55,21 @@ class OpenCLLattice:
         """{what: bytes} of device memory for a lattice of this shape."""
         state, voxels = 4 * _state_size(shape), 4 * prod(shape)
         plan = {"light": state, "next light": state, "optical depth": voxels}
+        plan["open faces"] = voxels // 4
         plan |= {"power": voxels, "drift": 3 * voxels, "fluence": voxels, "flux": 3 * voxels}
         if occluded:
-            plan |= {"occlusion": voxels, "occlusion's albedo": voxels}
+            plan |= {"reflected": voxels, "occlusion": voxels, "occlusion's albedo": voxels}
         return plan
 
     def start(self, source):
         """Dark, with a `Source`."""
         for state in self.states:  # the guards too: what lies there is read, though not used
             cl.enqueue_fill_buffer(self.queue, state, np.float32(0), 0, 4 * _state_size(self.shape))
-        for buffer, values in ((self.power, source.power), (self.drift, source.drift)):
+        given = [(self.power, source.power), (self.drift, source.drift)]
+        if self.reflected is not None:
+            none = np.zeros(self.shape, np.float32)
+            given.append((self.reflected, none if source.reflected is None else source.reflected))
+        for buffer, values in given:
             cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(values, np.float32))
 
     def advance(self, steps):
@@ -93,13 +101,13 @@ class OpenCLLattice:
         return values
 
     def _run(self, kernel, result, items=None, group=(_GROUP,)):
-        buffers = (self.states[0], self.depth, self.power, self.drift)
+        buffers = (self.states[0], self.depth, self.faces, self.power, self.drift, self.reflected)
         arguments = (*self.grid, *buffers, *self.medium, result)
         self.kernels[kernel](self.queue, items or self.range, group, *arguments)
 
-    def _upload(self, values):
+    def _upload(self, values, kind=np.float32):
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, np.float32))
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, kind))
 
     def _buffer(self, floats):
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, 4 * floats)

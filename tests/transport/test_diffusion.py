@@ -16,6 +16,7 @@ from lb_lighting.transport.physical_numpy import (
     WEIGHTS,
     NumpyLattice,
     Source,
+    returned,
 )
 
 UNIT = MOVING / LENGTHS[:, None]
@@ -30,15 +31,19 @@ class Layers(NumpyLattice):
     """
 
     def __init__(self, count, depth, albedo, g=0.0, normal=AXIS):
-        super().__init__(np.full((1, 1, count), float(depth)), albedo, g)
+        depth = np.full((1, 1, count), float(depth))
+        super().__init__(depth, albedo, g)
         self.normal, self.through = np.array(normal), MOVING @ normal
+        next_layer = np.arange(count) + self.through[:, None]
+        ends = (next_layer < 0) | (next_layer >= count)
+        self.returned = ends[:, None, None] * returned(depth, albedo, g)
 
     def _streamed(self):
-        f = self.returned * self.light[OPPOSITE]
+        f = (self.returned / (1 - self.returned) * self.light)[OPPOSITE]
         for m, shift in enumerate(self.through):
             upstream = np.arange(self.shape[2]) - shift
             here = (upstream >= 0) & (upstream < self.shape[2])
-            f[m][..., here] = self.light[m][..., upstream[here]]
+            f[m][..., here] += self.light[m][..., upstream[here]]
         return f
 
     def settle(self, power, place=0.0, direction=0.0):
@@ -70,7 +75,7 @@ class Layers(NumpyLattice):
 
     def left(self):
         """(2,) W/m^2 through the first face, and through the last; for AXIS."""
-        out = (1 - self.returned) * self.light
+        out = self.light
         return np.array([out[self.through < 0, ..., 0].sum(), out[self.through > 0, ..., -1].sum()])
 
 
@@ -264,7 +269,8 @@ def test_absorption_times_fluence_is_what_a_step_absorbs():
     lattice.light = rng.random(lattice.light.shape)
     arriving, absorbed = lattice._streamed().sum(axis=0), 0.2 * depth * lattice.fluence()
     lattice.advance(1)
-    np.testing.assert_allclose(arriving + power - lattice.light.sum(axis=0), absorbed, atol=1e-12)
+    leaving = (lattice.light / (1 - lattice.returned)).sum(axis=0)
+    np.testing.assert_allclose(arriving + power - leaving, absorbed, atol=1e-12)
 
 
 # --- Faces ---------------------------------------------------------------------------------------

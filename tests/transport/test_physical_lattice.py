@@ -6,7 +6,16 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from lb_lighting.transport.physical_numpy import MEAN_LENGTH, WEIGHTS, NumpyLattice, Source
+from lb_lighting.transport.physical_numpy import (
+    CROWDED,
+    LENGTHS,
+    MEAN_LENGTH,
+    REFLECTED,
+    WEIGHTS,
+    NumpyLattice,
+    Source,
+    open_faces,
+)
 from tests.tracing import OPENCL, name
 
 FLAT, SMALL, LONG, ODD = (1, 1, 64), (3, 3, 3), (512, 8, 8), (7, 31, 129)
@@ -32,6 +41,26 @@ def some_source(shape, seed=1):
     return Source(power, power * rng.uniform(-0.5, 0.5, (3, *shape)))
 
 
+def block(shape):
+    """(depth, occlusion, its albedo): a box with flat faces in the void, on opaque ground."""
+    depth, occlusion = np.zeros((2, *shape), np.float32)
+    depth[1:-2, 2:-1, 2:-2] = 0.7
+    occlusion[..., 0] = 0.8
+    return depth, occlusion, 0.5
+
+
+def power_of(lattice):
+    """W/m^2, all light on its way; what comes back at open faces is not in the state."""
+    return (lattice.light / (1 - lattice.returned)).sum()
+
+
+MEDIA = {
+    "clear": lambda shape: patchy(shape, False),
+    "occluded": lambda shape: patchy(shape, True),
+    "block": block,
+}
+
+
 def lattice_on(device, medium, albedo=0.9, g=0.6):
     depth, occlusion, occlusion_albedo = medium
     if device is None:
@@ -54,19 +83,19 @@ def assert_close(got, expected, relative):
 
 
 @on_opencl
-@pytest.mark.parametrize("occluded", [False, True], ids=["clear", "occluded"])
+@pytest.mark.parametrize("kind", MEDIA)
 @pytest.mark.parametrize(
     ("shape", "steps"), [(FLAT, 20), (SMALL, 20), (LONG, 6), (ODD, 6)], ids=str
 )
-def test_kernels_do_what_their_twin_does(shape, steps, occluded, device):
-    medium, source = patchy(shape, occluded), some_source(shape)
+def test_kernels_do_what_their_twin_does(shape, steps, kind, device):
+    medium, source = MEDIA[kind](shape), some_source(shape)
     kernel, twin = (lit(lattice_on(d, medium), source, steps) for d in (device, None))
     assert_close(kernel.fluence(), twin.fluence(), 1e-5)
     assert_close(kernel.flux(), twin.flux(), 1e-5)
     (left, stopped), (twin_left, twin_stopped) = kernel.lost(), twin.lost()
     assert_close(left, twin_left, 1e-5)
     assert stopped == pytest.approx(twin_stopped, rel=1e-5)
-    assert (stopped > 0) == occluded
+    assert (stopped > 0) == (kind != "clear")
 
 
 @on_opencl
@@ -80,19 +109,19 @@ def test_kernels_do_so_for_all_optics(albedo, g, device):
     assert_close(kernel.flux(), twin.flux(), 1e-5)
 
 
-@pytest.mark.parametrize("occluded", [False, True], ids=["clear", "occluded"])
+@pytest.mark.parametrize("kind", MEDIA)
 @pytest.mark.parametrize(("albedo", "g"), [(0.9, 0.6), (0.3, -0.8), (1.0, 0.99)])
-def test_every_step_accounts_for_all_light(albedo, g, occluded):
+def test_every_step_accounts_for_all_light(albedo, g, kind):
     """Light before + handed = light after + absorbed + left + stopped, far from convergence too."""
-    medium, source = patchy(SHAPE, occluded), some_source(SHAPE)
+    medium, source = MEDIA[kind](SHAPE), some_source(SHAPE)
     lattice, depth = lattice_on(None, medium, albedo, g), medium[0].astype(float)
     lattice.start(source)
     for _ in range(10):
-        before, absorbed = lattice.light.sum(), (1 - albedo) * depth * lattice.fluence()
+        before, absorbed = power_of(lattice), (1 - albedo) * depth * lattice.fluence()
         left, stopped = lattice.lost()
         lattice.advance(1)
         gone = absorbed.sum() + left.sum() + stopped
-        assert before + source.power.sum() == pytest.approx(lattice.light.sum() + gone, rel=1e-12)
+        assert before + source.power.sum() == pytest.approx(power_of(lattice) + gone, rel=1e-12)
 
 
 @pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
@@ -137,6 +166,78 @@ def test_white_walls_trap_no_light_between_them(opening):
     lattice.emitted = 0 * lattice.emitted
     lattice.advance(60)
     assert lattice.light.sum() < 0.02
+
+
+def ends_of(*boxes, shape=(9, 9, 9)):
+    """`open_faces` of boxes of a scattering medium in the void."""
+    depth = np.zeros(shape)
+    for box in boxes:
+        depth[box] = 1
+    return open_faces(depth, 0.9, 0.0)
+
+
+def test_faces_of_a_block_in_the_void_are_open_as_those_of_the_domain():
+    inside = (slice(2, 7),) * 3
+    alone, within = ends_of(inside), open_faces(np.ones((5, 5, 5)), 0.9, 0.0)
+    np.testing.assert_array_equal(alone[inside], within)
+    middle = within[1:-1, 1:-1, 1:-1]
+    assert not middle.any()
+    assert [within[0, 2, 2], within[4, 2, 2], within[2, 0, 2], within[2, 4, 2]] == [1, 2, 4, 8]
+    assert [within[2, 2, 0], within[2, 2, 4], within[4, 4, 4]] == [16, 32, 2 | 8 | 32]
+
+
+def test_faces_that_face_matter_or_are_not_flat_are_not_open():
+    wall, plate = np.s_[2:4], np.s_[2:4, 3:6, 3:6]
+    assert not np.any(ends_of(wall, np.s_[6:8])[3] & 2)  # a gap between walls
+    assert np.all(ends_of(wall)[3] & 2)
+    pimple = ends_of(wall, np.s_[4, 4, 4])[3]
+    assert not np.any(pimple[3:6, 3:6] & 2)
+    shaded = ends_of(plate, np.s_[6:, :, 7:])[3]  # a diagonal through its face ends in matter
+    assert not np.any(shaded[3:6, 4:6] & 2)
+    opaque = np.zeros((9, 9, 9))
+    opaque[3, 6, 4] = 1  # beside the face, where diagonals pass
+    depth = np.zeros(opaque.shape)
+    depth[plate] = 1
+    assert not open_faces(depth, 0.9, 0.0, opaque)[3, 5, 4] & 2
+
+
+def test_light_ends_at_a_block_in_the_void_as_at_the_domains_faces():
+    """The same light inside, voxel by voxel, and through the domain's faces together."""
+    # So thick that it does not tell how large the domain is (see `returned`).
+    depth = np.random.default_rng(5).uniform(50, 200, SHAPE)
+    source = some_source(SHAPE)
+    margin = [(2, 2)] * 3
+    wide = Source(np.pad(source.power, margin), np.pad(source.drift, [(0, 0), *margin]))
+    alone = lit(lattice_on(None, (depth, None, 0.0)), source, 60)
+    within = lit(lattice_on(None, (np.pad(depth, margin), None, 0.0)), wide, 60)
+    inside = (slice(2, -2),) * 3
+    assert_close(within.fluence()[inside], alone.fluence(), 1e-4)
+    assert within.lost()[0].sum() == pytest.approx(alone.lost()[0].sum(), rel=1e-4)
+    assert alone.returned[1, -1] == pytest.approx(REFLECTED, rel=0.01)
+
+
+def test_straight_and_diagonal_light_meets_three_voxels_a_way_of_two():
+    """As straight lines of all directions enter 3/2 voxels a voxel's edge."""
+    share = WEIGHTS * LENGTHS / MEAN_LENGTH
+    entered = np.where(LENGTHS == 1, 1, 2 + CROWDED)
+    assert np.sum(share * entered / LENGTHS) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
+def test_what_the_ground_reflects_goes_up_from_it_and_not_along_it(device):
+    """The flux is exact. The fluence over it is 2 above ground of Lambert's law; without the light
+    that grazes the ground, which would fill one layer for as far as the domain goes, it is 1.35.
+    """
+    shape = (31, 31, 9)
+    occlusion, reflected = np.zeros((2, *shape))
+    occlusion[..., 0] = 1
+    reflected[..., 1] = 1
+    dark = np.zeros(shape)
+    lattice = lattice_on(device, (dark, occlusion, 0.5))
+    lit(lattice, Source(dark, np.zeros((3, *shape)), reflected), 40)
+    middle = (15, 15, slice(1, None))
+    assert lattice.flux()[2][middle] == pytest.approx(1.0, rel=1e-5)
+    assert lattice.fluence()[middle] == pytest.approx(1.352, rel=1e-3)
 
 
 @pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
@@ -203,7 +304,9 @@ def test_the_plan_names_all_memory(occluded, device):
 
     lattice, made = lattice_on(device, patchy(SHAPE, occluded)), []
     buffers = [*lattice.states, lattice.power, lattice.drift, lattice.depth]
-    buffers += [lattice.occlusion, lattice.occlusion_albedo] if occluded else []
+    buffers.append(lattice.faces)
+    if occluded:
+        buffers += [lattice.reflected, lattice.occlusion, lattice.occlusion_albedo]
     make = lattice._buffer
     lattice._buffer = lambda floats: made.append(make(floats)) or made[-1]
     lit(lattice, some_source(SHAPE), 1).fluence()
