@@ -150,9 +150,10 @@ class Sky:
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
             across, height = _strata(count, 2, np.random.default_rng(0))
-            towards, irradiance, power = self._bright(across, height, medium, band)
-            sent = (np.abs(towards) @ face_areas(medium.domain)) @ irradiance / count
-            irradiance *= power / sent if sent else 0  # so few suns need not add up to the sky
+            # Each sun lights all voxels: what counts is their fluence, not what enters.
+            towards, irradiance, fluence = self._bright(across, height, medium, band)
+            sent = irradiance.mean()
+            irradiance *= fluence / sent if sent else 0  # so few suns need not add up to the sky
         else:
             towards = _even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
@@ -175,21 +176,23 @@ class Sky:
     def _emit_by_brightness(self, count, medium, rng, band):
         """Directions by the power that comes from their cell of the sky, then points of entry."""
         cell, height, across, along = _strata(count, 4, rng)
-        towards, irradiance, _ = self._bright(cell, height, medium, band)
+        towards, irradiance, _ = self._bright(cell, height, medium, band, face_areas(medium.domain))
         origins = _enter(medium.domain, -towards, across, along)
         shown = np.abs(towards) @ face_areas(medium.domain)
         return origins, -towards, irradiance * shown / count
 
-    def _bright(self, across, height, medium, band):
-        """Directions (n, 3) towards a sky that is a function, by the power that comes from their
-        cell of it; the (n,) W/m^2 for which each would stand alone; and the power of all cells, W.
+    def _bright(self, across, height, medium, band, areas=None):
+        """Directions (n, 3) towards a sky that is a function, by the light that comes from their
+        cell of it; the (n,) W/m^2 for which each would stand alone; and the light of all cells.
 
-        across and height are the (n,) in [0, 1) that choose them.
+        across and height are the (n,) in [0, 1) that choose them. The light is a power, W, through
+        faces of the areas (3,) m^2, or without them a fluence, W/m^2.
         """
         cells = _cell_centers()
         radiance = _over_directions(self.radiance, cells)
-        shown = np.abs(cells) @ face_areas(medium.domain)
-        glow = _of_band(radiance(cells), medium.bands, band) * shown
+        glow = _of_band(radiance(cells), medium.bands, band)
+        if areas is not None:
+            glow = glow * (np.abs(cells) @ areas)
         even = 1 / len(cells)
         chance = np.full(len(cells), even)
         if glow.any():

@@ -322,8 +322,8 @@ class _Work:
                 handover = self._first_collisions(medium, lights, band, lit)
             else:
                 handover = _handed_over(medium, band, traced, lit)
-                for number, light in enumerate(lights):
-                    cast = self._cast(medium, light, band, medium.sigma_t[band], shadowed=False)
+                for number, part in _parts(lights):
+                    cast = self._cast(medium, part, band, medium.sigma_t[band], shadowed=False)
                     lit.add_unscattered(number, cast)
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
