@@ -78,7 +78,7 @@ def refinement():
         some = [(row["voxels"], row["error"]) for row in rows if row["case"] == name]
         panel.plot(*zip(*some, strict=True), "o-", ms=3.5, label=name)
     panel.set_xscale("log")
-    panel.set_yscale("log")
+    panel.set_ylim(0, 0.07)
     voxels = sorted({row["voxels"] for row in rows})
     panel.set_xticks(voxels, voxels)
     panel.xaxis.set_minor_locator(NullLocator())
