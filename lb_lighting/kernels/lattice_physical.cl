@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// One step of the physical lattice, and its read-out. transport/physical_numpy.py is the twin and
-// says what the quantities are.
+// The physical lattice. transport/physical_numpy.py is the twin and says what the quantities are,
+// transport/cells.py where they lie: cell by cell, and the light of direction m `stride` floats
+// behind that of m - 1, `guard` floats from the start.
 //
-// The light of direction m lies at m * stride + guard on, voxel by voxel, z fastest, so that the
-// voxel upstream is always a fixed number of floats away; what is read beyond the domain's faces
-// is other light, or the guard, and is not used.
+// The light is stepped in place. Before a step the light that has arrived at a cell along m lies in
+// the cell, under m; or it is `swapped` and lies in the cell that it came from, under the opposite
+// direction. `step_here` reads the first and leaves the second, `step_there` the other way round:
+// in both, a cell writes to the places that it alone has read.
 //
-// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
-// CROWDED, and OCCLUSION where there is any.
+// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT and CROWDED.
 
 #define DIAGONAL 1.41421356f
 #define DIRECTIONS 18
@@ -23,16 +24,22 @@
     DO(15, 16, 0, 1, -1)
 #define FOR_EACH_PAIR(DO) FOR_EACH_AXIS(DO) FOR_EACH_DIAGONAL(DO)
 
-// The grid (voxels; floats from one direction's light to the next one's, and before the first), the
-// light, the medium and the source.
-#define PARAMETERS                                                                         \
-    const int nx, const int ny, const int nz, const uint stride_floats, const uint guard,  \
-        __global const float *light, __global const float *depths,                         \
-        __global const uchar *open_faces,                                                  \
-        __global const float *power, __global const float *drift,                          \
-        __global const float *reflections,                                                 \
-        __global const float *occlusion, __global const float *occlusion_albedo,           \
-        const float first, const float second, const float loss
+// Cells from each to the next ones along z (1), y and x; floats from one direction's light to the
+// next one's, and before the first.
+#define GRID const ulong plane, const ulong row, const ulong stride, const ulong guard
+#define STEP(cx, cy, cz) ((cx)*plane + (cy)*row + (cz))
+
+// The light that has arrived at a cell along m, `step` cells from where it came.
+#define HERE(m, cell) light[(m)*stride + guard + (cell)]
+#define ARRIVED(m, back, cell, step) HERE(swapped ? (back) : (m), swapped ? (cell) - (step) : (cell))
+
+// Depths of voxels' edges; below zero outside of the domain, -1 - the share that comes back over
+// the most that may, REFLECTED.
+#define MEDIUM                                                                             \
+    __global const float *depths, const float first, const float second, const float loss
+
+// Power and drift, one after the other.
+#define SOURCE __global const float *source, const ulong cells
 
 typedef struct {
     float even, odd, absorbed; // shares that a step changes
@@ -44,129 +51,16 @@ inline Rates rates(const float length, const float depth, const float first, con
                    const float loss)
 {
     const float crossed = length * depth;
-    const float t = crossed * first, a = crossed * loss;
+    const float t = crossed * first, e = crossed * second, a = crossed * loss;
+    const float third = 0.125f * t < 0.5f ? 0.125f * t : 0.5f; // not fmin: PoCL calls it
     Rates r;
-    r.odd = 1.0f / (1.0f / t + 0.5f);
-    r.even = 1.0f / (1.0f / (crossed * second) + fmin(0.125f * t, 0.5f) + 0.5f);
-    r.absorbed = 1.0f / (1.0f / a + 0.5f);
+    r.odd = t / (1.0f + 0.5f * t);
+    r.even = e / (1.0f + e * (third + 0.5f));
+    r.absorbed = a / (1.0f + 0.5f * a);
     r.drifted = length / (1.0f + 0.5f * t);
     r.lingered = length / (1.0f + 0.5f * a);
     return r;
 }
-
-// The share of light leaving a voxel through an open face that comes back.
-inline float returned(const int longest, const float depth, const float first)
-{
-    return REFLECTED / (1.0f + 1.0f / (longest * depth * first));
-}
-
-// Whether the voxel that lies (cx, cy, cz) upstream of (x, y, z) is in the domain.
-#define IS_INSIDE(cx, cy, cz)                                                              \
-    (((cx) == 0 || ((cx) > 0 ? x > 0 : x < nx - 1)) &&                                     \
-     ((cy) == 0 || ((cy) > 0 ? y > 0 : y < ny - 1)) &&                                     \
-     ((cz) == 0 || ((cz) > 0 ? z > 0 : z < nz - 1)))
-
-#define STEP(cx, cy, cz) (((cx) * ny + (cy)) * nz + (cz))
-
-// The bits of the faces that light leaves a voxel by, going (cx, cy, cz).
-#define THROUGH(cx, cy, cz)                                                                \
-    (((cx) < 0 ? 1 : 0) | ((cx) > 0 ? 2 : 0) | ((cy) < 0 ? 4 : 0) | ((cy) > 0 ? 8 : 0) |   \
-     ((cz) < 0 ? 16 : 0) | ((cz) > 0 ? 32 : 0))
-#define IS_OPEN(cx, cy, cz) (faces & THROUGH(cx, cy, cz))
-
-
-#define OUT(m) light[(m) * stride + guard + voxel]
-#define CAME(m, step) light[(m) * stride + guard + voxel - (step)]
-
-// What opaque voxels stop of light between a voxel and the one (cx, cy, cz) upstream of it, either
-// way: BESIDE, by the two voxels that a diagonal leads between, and what then is left, PAST.
-#ifdef OCCLUSION
-#define OPAQUE(voxel) occlusion[voxel]
-#define REFLECTING(voxel) (occlusion[voxel] * occlusion_albedo[voxel])
-#define ABSORBING(voxel) (occlusion[voxel] * (1.0f - occlusion_albedo[voxel]))
-#define IS_DIAGONAL(cx, cy, cz) ((cx) * (cx) + (cy) * (cy) + (cz) * (cz) == 2)
-#define MEAN_BESIDE(OF, cx, cy, cz)                                                        \
-    (0.5f * (((cx) ? OF(voxel - STEP(cx, 0, 0)) : 0.0f) +                                  \
-             ((cy) ? OF(voxel - STEP(0, cy, 0)) : 0.0f) +                                  \
-             ((cz) ? OF(voxel - STEP(0, 0, cz)) : 0.0f)))
-#define BESIDE(OF, cx, cy, cz)                                                             \
-    (IS_DIAGONAL(cx, cy, cz)                                                               \
-         ? MEAN_BESIDE(OF, cx, cy, cz) *                                                   \
-               (1.0f + CROWDED * (1.0f - MEAN_BESIDE(OPAQUE, cx, cy, cz)))                 \
-         : 0.0f)
-#define PAST(cx, cy, cz) (1.0f - BESIDE(OPAQUE, cx, cy, cz))
-#define PASSED(cx, cy, cz) (PAST(cx, cy, cz) * (1.0f - occlusion[voxel]))
-#else
-#define PASSED(cx, cy, cz) 1.0f
-#endif
-
-// What flows into a voxel along m: what came from the voxel upstream, if there is any, and at open
-// faces some of what went there.
-#define PULL_ONE(m, back, cx, cy, cz)                                                      \
-    f[m] = IS_INSIDE(cx, cy, cz) ? CAME(m, STEP(cx, cy, cz)) * PASSED(cx, cy, cz) : 0.0f;  \
-    f[m] += IS_OPEN(-(cx), -(cy), -(cz)) ? OUT(back) * comes_back : 0.0f;
-#define PULL(m, back, cx, cy, cz)                                                          \
-    PULL_ONE(m, back, cx, cy, cz)                                                          \
-    PULL_ONE(back, m, -(cx), -(cy), -(cz))
-
-// What opaque voxels around a voxel send back into it goes off evenly away from all of them.
-#ifdef OCCLUSION
-#define MEET(m, cx, cy, cz)                                                                \
-    away[m] = IS_INSIDE(cx, cy, cz)                                                        \
-                  ? BESIDE(REFLECTING, cx, cy, cz) +                                       \
-                        PAST(cx, cy, cz) * REFLECTING(voxel - STEP(cx, cy, cz))            \
-                  : 0.0f;
-#define MEET_PAIR(m, back, cx, cy, cz)                                                     \
-    MEET(m, cx, cy, cz)                                                                    \
-    MEET(back, -(cx), -(cy), -(cz))                                                        \
-    reflected += away[m] * OUT(back);                                                      \
-    reflected += away[back] * OUT(m);
-#define ADD_AWAY(m, back, cx, cy, cz) sum += away[m] + away[back];
-#define SEND_BACK(m, back, cx, cy, cz)                                                     \
-    f[m] += away[m] * density;                                                             \
-    f[back] += away[back] * density;
-#define REFLECT                                                                            \
-    {                                                                                      \
-        float away[DIRECTIONS], reflected = reflections[voxel], sum = 0.0f;                \
-        FOR_EACH_PAIR(MEET_PAIR)                                                           \
-        FOR_EACH_AXIS(ADD_AWAY)                                                            \
-        const float along_axes = sum;                                                      \
-        sum = 0.0f;                                                                        \
-        FOR_EACH_DIAGONAL(ADD_AWAY)                                                        \
-        const float total = W_AXIS * along_axes + W_DIAGONAL * sum;                        \
-        if (total > 0.0f) {                                                                \
-            {                                                                              \
-                const float density = W_AXIS * (reflected / total);                        \
-                FOR_EACH_AXIS(SEND_BACK)                                                   \
-            }                                                                              \
-            {                                                                              \
-                const float density = W_DIAGONAL * (reflected / total);                    \
-                FOR_EACH_DIAGONAL(SEND_BACK)                                               \
-            }                                                                              \
-        }                                                                                  \
-    }
-#else
-#define REFLECT
-#endif
-
-#define LOCATE                                                                             \
-    const size_t voxels = (size_t)nx * ny * nz, stride = stride_floats;                    \
-    const size_t voxel = get_global_id(0);                                                 \
-    if (voxel >= voxels)                                                                   \
-        return;                                                                            \
-    const int z = (int)(voxel % nz), row = (int)(voxel / nz), y = row % ny, x = row / ny;
-
-// How a step begins, and all that is read of one: a voxel's rates, and the light f that flows in.
-#define GATHER                                                                             \
-    LOCATE                                                                                 \
-    const Rates axis = rates(1.0f, depths[voxel], first, second, loss);                    \
-    const Rates diagonal = rates(DIAGONAL, depths[voxel], first, second, loss);            \
-    const float share = returned(max(nx, max(ny, nz)), depths[voxel], first);              \
-    const float comes_back = share / (1.0f - share);                                       \
-    const int faces = open_faces[voxel];                                                   \
-    float f[DIRECTIONS];                                                                   \
-    FOR_EACH_PAIR(PULL)                                                                    \
-    REFLECT
 
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
@@ -184,43 +78,197 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
            (6 * W_AXIS * pull_axis + 12 * W_DIAGONAL * pull_diagonal);
 }
 
+// A cell's rates and its share of the source.
+#define LOOK                                                                               \
+    const float depth = depths[cell] < 0.0f ? 0.0f : depths[cell];                         \
+    const Rates axis = rates(1.0f, depth, first, second, loss);                            \
+    const Rates diagonal = rates(DIAGONAL, depth, first, second, loss);                    \
+    const float emitted = source[cell] / MEAN_LENGTH;                                      \
+    const float gx = source[cells + cell], gy = source[2 * cells + cell],                  \
+                gz = source[3 * cells + cell];
+
+// --- Steps ----------------------------------------------------------------------------------
+
 #define COLLIDE(m, back, cx, cy, cz)                                                       \
     {                                                                                      \
         const float even = 0.5f * (f[m] + f[back]), odd = 0.5f * (f[m] - f[back]);         \
         const float e = even - r.even * even + gained;                                     \
         const float o = odd - r.odd * odd + pushed * ((cx)*gx + (cy)*gy + (cz)*gz);        \
-        const float ahead = IS_OPEN(cx, cy, cz) ? 1.0f - share : 1.0f;                     \
-        const float behind = IS_OPEN(-(cx), -(cy), -(cz)) ? 1.0f - share : 1.0f;           \
-        next[m * stride + guard + voxel] = ahead * (e + o);                                \
-        next[back * stride + guard + voxel] = behind * (e - o);                            \
+        const float ahead = live * (e + o) + share * f[back];                              \
+        const float behind = live * (e - o) + share * f[m];                                \
+        LEAVE(m, back, STEP(cx, cy, cz), ahead, behind)                                    \
     }
 
-__kernel void update(PARAMETERS, __global float *next)
+#define UPDATE                                                                             \
+    const size_t cell = get_global_id(0);                                                  \
+    LOOK                                                                                   \
+    const float live = depths[cell] < 0.0f ? 0.0f : 1.0f;                                  \
+    const float share = depths[cell] < 0.0f ? REFLECTED * (-1.0f - depths[cell]) : 0.0f;   \
+    float f[DIRECTIONS];                                                                   \
+    FOR_EACH_PAIR(TAKE)                                                                    \
+    const float density = isotropic(f, axis, diagonal);                                    \
+    {                                                                                      \
+        const Rates r = axis;                                                              \
+        const float gained = W_AXIS * ((r.even - r.absorbed) * density + emitted * r.lingered); \
+        const float pushed = W_AXIS / SECOND_MOMENT * r.drifted;                           \
+        FOR_EACH_AXIS(COLLIDE)                                                             \
+    }                                                                                      \
+    {                                                                                      \
+        const Rates r = diagonal;                                                          \
+        const float gained = W_DIAGONAL * ((r.even - r.absorbed) * density + emitted * r.lingered); \
+        const float pushed = W_DIAGONAL / SECOND_MOMENT * r.drifted;                       \
+        FOR_EACH_DIAGONAL(COLLIDE)                                                         \
+    }
+
+#define TAKE(m, back, cx, cy, cz)                                                          \
+    f[m] = HERE(m, cell);                                                                  \
+    f[back] = HERE(back, cell);
+#define LEAVE(m, back, step, ahead, behind)                                                \
+    HERE(back, cell) = ahead;                                                              \
+    HERE(m, cell) = behind;
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+step_here(GRID, MEDIUM, SOURCE, __global float *light)
 {
-    GATHER
-    const float density = isotropic(f, axis, diagonal), emitted = power[voxel] / MEAN_LENGTH;
-    const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
-    {
-        const Rates r = axis;
-        const float gained = W_AXIS * ((r.even - r.absorbed) * density +
-                                       emitted * (1.0f - 0.5f * r.absorbed));
-        const float pushed = W_AXIS / SECOND_MOMENT * r.drifted;
-        FOR_EACH_AXIS(COLLIDE)
-    }
-    {
-        const Rates r = diagonal;
-        const float gained = W_DIAGONAL * ((r.even - r.absorbed) * density +
-                                           DIAGONAL * emitted * (1.0f - 0.5f * r.absorbed));
-        const float pushed = W_DIAGONAL / SECOND_MOMENT * r.drifted;
-        FOR_EACH_DIAGONAL(COLLIDE)
-    }
+    UPDATE
 }
 
-__kernel void read_fluence(PARAMETERS, __global float *fluence)
+#undef TAKE
+#undef LEAVE
+#define TAKE(m, back, cx, cy, cz)                                                          \
+    f[m] = HERE(back, cell - STEP(cx, cy, cz));                                            \
+    f[back] = HERE(m, cell + STEP(cx, cy, cz));
+#define LEAVE(m, back, step, ahead, behind)                                                \
+    HERE(m, cell + (step)) = ahead;                                                        \
+    HERE(back, cell - (step)) = behind;
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+step_there(GRID, MEDIUM, SOURCE, __global float *light)
 {
-    GATHER
-    const float density = isotropic(f, axis, diagonal);
-    const float half_emitted = 0.5f * power[voxel] / MEAN_LENGTH;
+    UPDATE
+}
+
+// --- What comes back where a medium ends within the domain -------------------------------------
+
+#define OUTWARD(m, back, cx, cy, cz)                                                       \
+    {                                                                                      \
+        const int along = (cx)*ox + (cy)*oy + (cz)*oz;                                     \
+        if (along != 0) {                                                                  \
+            const int out = along > 0 ? (m) : (back), in = along > 0 ? (back) : (m);       \
+            const long step = along * (long)STEP(cx, cy, cz);                              \
+            __global float *ahead = &ARRIVED(out, in, cell + step, step);                  \
+            __global float *behind = &ARRIVED(in, out, cell - step, -step);                \
+            *behind += share * *ahead;                                                     \
+            *ahead -= share * *ahead;                                                      \
+        }                                                                                  \
+    }
+
+// Of light that has just left empty cells in the five directions of a face. at  The cells;
+// faces  0 to 5 for -x, +x, -y, +y, -z, +z; shares  of it that go back.
+__kernel void mirror(GRID, __global float *light, const int swapped, __global const int *at,
+                     __global const int *faces, __global const float *shares)
+{
+    const size_t n = get_global_id(0), cell = at[n];
+    const int face = faces[n], sign = face % 2 ? 1 : -1;
+    const int ox = face / 2 == 0 ? sign : 0, oy = face / 2 == 1 ? sign : 0;
+    const int oz = face / 2 == 2 ? sign : 0;
+    const float share = shares[n];
+    FOR_EACH_PAIR(OUTWARD)
+}
+
+// --- What opaque voxels do ---------------------------------------------------------------------
+
+// To light on its way along (cx, cy, cz) to a cell from the one upstream of it: what the two voxels
+// that a diagonal leads between stop, of which OF counts, none along axes; what is left, PAST.
+#define OPAQUE(cell) occlusion[cell]
+#define REFLECTING(cell) (occlusion[cell] * occlusion_albedo[cell])
+#define ABSORBING(cell) (occlusion[cell] * (1.0f - occlusion_albedo[cell]))
+#define IS_DIAGONAL(cx, cy, cz) ((cx) * (cx) + (cy) * (cy) + (cz) * (cz) == 2)
+#define MEAN_BESIDE(OF, to, cx, cy, cz)                                                    \
+    (0.5f * (((cx) ? OF((to)-STEP(cx, 0, 0)) : 0.0f) + ((cy) ? OF((to)-STEP(0, cy, 0)) : 0.0f) + \
+             ((cz) ? OF((to)-STEP(0, 0, cz)) : 0.0f)))
+#define BESIDE(OF, to, cx, cy, cz)                                                         \
+    (IS_DIAGONAL(cx, cy, cz)                                                               \
+         ? MEAN_BESIDE(OF, to, cx, cy, cz) *                                               \
+               (1.0f + CROWDED * (1.0f - MEAN_BESIDE(OPAQUE, to, cx, cy, cz)))             \
+         : 0.0f)
+#define PAST(to, cx, cy, cz) (1.0f - BESIDE(OPAQUE, to, cx, cy, cz))
+#define SHARE_OF(OF, to, cx, cy, cz)                                                       \
+    (BESIDE(OF, to, cx, cy, cz) + PAST(to, cx, cy, cz) * OF(to))
+#define WEIGHT(cx, cy, cz) (IS_DIAGONAL(cx, cy, cz) ? W_DIAGONAL : W_AXIS)
+#define IS_INSIDE(cell) (depths[cell] >= 0.0f)
+
+#define OCCLUDERS                                                                          \
+    __global const float *depths, __global const float *occlusion,                         \
+        __global const float *occlusion_albedo, __global const int *at
+
+#define GATHER_ONE(m, back, cx, cy, cz)                                                    \
+    {                                                                                      \
+        const size_t to = cell + STEP(cx, cy, cz);                                         \
+        if (IS_INSIDE(to)) {                                                               \
+            const float share = SHARE_OF(REFLECTING, to, cx, cy, cz);                      \
+            returning += share * ARRIVED(m, back, to, STEP(cx, cy, cz));                   \
+            spread += share * WEIGHT(cx, cy, cz);                                          \
+        }                                                                                  \
+    }
+#define GATHER(m, back, cx, cy, cz)                                                        \
+    GATHER_ONE(m, back, cx, cy, cz)                                                        \
+    GATHER_ONE(back, m, -(cx), -(cy), -(cz))
+
+// densities  in each of the cells `at`, of the isotropic light that goes back into it; reflected
+// as of the twin's source
+__kernel void reflect(GRID, __global const float *light, const int swapped, OCCLUDERS,
+                      __global const float *reflected, __global float *densities)
+{
+    const size_t cell = at[get_global_id(0)];
+    float returning = reflected[cell], spread = 0.0f;
+    FOR_EACH_PAIR(GATHER)
+    densities[cell] = spread > 0.0f ? returning / spread : 0.0f;
+}
+
+#define MEET_ONE(m, back, cx, cy, cz)                                                      \
+    {                                                                                      \
+        const size_t to = cell + STEP(cx, cy, cz);                                         \
+        if (IS_INSIDE(to)) {                                                               \
+            __global float *arriving = &ARRIVED(m, back, to, STEP(cx, cy, cz));            \
+            const float share = SHARE_OF(REFLECTING, cell, -(cx), -(cy), -(cz));           \
+            absorbed += *arriving * SHARE_OF(ABSORBING, to, cx, cy, cz);                   \
+            *arriving = *arriving * PAST(to, cx, cy, cz) * (1.0f - occlusion[to]) +        \
+                        WEIGHT(cx, cy, cz) * share * densities[to];                        \
+        }                                                                                  \
+    }
+#define MEET(m, back, cx, cy, cz)                                                          \
+    MEET_ONE(m, back, cx, cy, cz)                                                          \
+    MEET_ONE(back, m, -(cx), -(cy), -(cz))
+
+// Of the light that has just left the cells `at`; stopped  what is absorbed of it.
+__kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
+                   __global const float *densities, __global float *stopped)
+{
+    const size_t cell = at[get_global_id(0)];
+    float absorbed = 0.0f;
+    FOR_EACH_PAIR(MEET)
+    stopped[get_global_id(0)] = absorbed;
+}
+
+// --- Read-out ----------------------------------------------------------------------------------
+
+#define READ(m, back, cx, cy, cz)                                                          \
+    f[m] = ARRIVED(m, back, cell, STEP(cx, cy, cz));                                       \
+    f[back] = ARRIVED(back, m, cell, -STEP(cx, cy, cz));
+
+// Of the voxel that a work-item of the range (nz, ny, nx) stands for; `origin` is the first's cell.
+#define LOOK_AT_VOXEL                                                                      \
+    const size_t z = get_global_id(0), y = get_global_id(1), x = get_global_id(2);         \
+    const size_t voxel = (x * get_global_size(1) + y) * get_global_size(0) + z;            \
+    const size_t cell = origin + STEP(x, y, z);                                            \
+    LOOK                                                                                   \
+    float f[DIRECTIONS];                                                                   \
+    FOR_EACH_PAIR(READ)
+
+__kernel void read_fluence(GRID, __global const float *light, const int swapped, MEDIUM, SOURCE,
+                           const ulong origin, __global float *fluence)
+{
+    LOOK_AT_VOXEL
+    const float density = isotropic(f, axis, diagonal), half_emitted = 0.5f * emitted;
     fluence[voxel] = 6 * W_AXIS * (density + half_emitted) * axis.lingered +
                      12 * W_DIAGONAL * (density + DIAGONAL * half_emitted) * diagonal.lingered;
 }
@@ -234,10 +282,11 @@ __kernel void read_fluence(PARAMETERS, __global float *fluence)
         jz += (cz)*flow;                                                                   \
     }
 
-__kernel void read_flux(PARAMETERS, __global float *flux)
+__kernel void read_flux(GRID, __global const float *light, const int swapped, MEDIUM, SOURCE,
+                        const ulong origin, __global float *flux)
 {
-    GATHER
-    const float gx = drift[voxel], gy = drift[voxels + voxel], gz = drift[2 * voxels + voxel];
+    LOOK_AT_VOXEL
+    const size_t voxels = get_global_size(0) * get_global_size(1) * get_global_size(2);
     float jx = 0.0f, jy = 0.0f, jz = 0.0f;
     {
         const float kept = 1.0f - 0.5f * axis.odd;
@@ -254,40 +303,39 @@ __kernel void read_flux(PARAMETERS, __global float *flux)
     flux[2 * voxels + voxel] = jz;
 }
 
-// Light of one direction that leaves the domain, by the first face of those it passes, and what
-// the occluder downstream keeps of it.
-#define ADD_LOST(m, cx, cy, cz)                                                            \
-    if (IS_INSIDE(-(cx), -(cy), -(cz))) {                                                  \
-        ADD_STOPPED(m, -(cx), -(cy), -(cz))                                                \
-    } else {                                                                               \
-        if (!IS_INSIDE(-(cx), 0, 0))                                                       \
-            sum[(cx) > 0] += OUT(m);                                                       \
-        else if (!IS_INSIDE(0, -(cy), 0))                                                  \
-            sum[2 + ((cy) > 0)] += OUT(m);                                                 \
+// Light that has left the domain along m, by the first face of those that it passed.
+#define ADD_LEFT(m, back, cx, cy, cz)                                                      \
+    if (at_end(cx, x, nx) || at_end(cy, y, ny) || at_end(cz, z, nz)) {                     \
+        const size_t to = cell + STEP(cx, cy, cz);                                         \
+        const float share = REFLECTED * (-1.0f - depths[to]);                              \
+        const float leaving = (1.0f - share) * ARRIVED(m, back, to, STEP(cx, cy, cz));     \
+        if (at_end(cx, x, nx))                                                             \
+            sum[(cx) > 0] += leaving;                                                      \
+        else if (at_end(cy, y, ny))                                                        \
+            sum[2 + ((cy) > 0)] += leaving;                                                \
         else                                                                               \
-            sum[4 + ((cz) > 0)] += OUT(m);                                                 \
+            sum[4 + ((cz) > 0)] += leaving;                                                \
     }
-#ifdef OCCLUSION
-#define ADD_STOPPED(m, cx, cy, cz)                                                         \
-    sum[6] += OUT(m) * (BESIDE(ABSORBING, cx, cy, cz) +                                    \
-                        PAST(cx, cy, cz) * ABSORBING(voxel - STEP(cx, cy, cz)));
-#else
-#define ADD_STOPPED(m, cx, cy, cz)
-#endif
-#define ADD_LOST_PAIR(m, back, cx, cy, cz)                                                 \
-    ADD_LOST(m, cx, cy, cz) ADD_LOST(back, -(cx), -(cy), -(cz))
+#define ADD_LEFT_PAIR(m, back, cx, cy, cz)                                                 \
+    ADD_LEFT(m, back, cx, cy, cz) ADD_LEFT(back, m, -(cx), -(cy), -(cz))
 
-// lost  7 x nz: through the faces -x, +x, -y, +y, -z, +z, and stopped; summed over x and y.
-__kernel void read_lost(PARAMETERS, __global float *lost)
+inline int at_end(const int c, const int place, const int count)
 {
-    const size_t stride = stride_floats;
-    const int z = (int)get_global_id(0);
-    float sum[7] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    return c < 0 ? place == 0 : c > 0 && place == count - 1;
+}
+
+// left  6 x nz: through the faces -x, +x, -y, +y, -z, +z; summed over x and y.
+__kernel void read_left(GRID, __global const float *light, const int swapped,
+                        __global const float *depths, const ulong origin, const int nx,
+                        const int ny, __global float *left)
+{
+    const int z = (int)get_global_id(0), nz = (int)get_global_size(0);
+    float sum[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
     for (int x = 0; x < nx; x++)
         for (int y = 0; y < ny; y++) {
-            const size_t voxel = ((size_t)x * ny + y) * nz + z;
-            FOR_EACH_PAIR(ADD_LOST_PAIR)
+            const size_t cell = origin + STEP((ulong)x, (ulong)y, (ulong)z);
+            FOR_EACH_PAIR(ADD_LEFT_PAIR)
         }
-    for (int n = 0; n < 7; n++)
-        lost[n * nz + z] = sum[n];
+    for (int n = 0; n < 6; n++)
+        left[n * nz + z] = sum[n];
 }

@@ -3,28 +3,19 @@
 runtime exists.
 
 It carries scattered light. f_m is the power that flows along direction m from a voxel to the next
-one, over the squared edge of a voxel, W/m^2. In a step it flows in, collides over the length l_m
-(voxels) between the two centres, and takes up what a source hands to the voxel. The state is the
-light after collision; at open faces, less the share that comes back in the next step.
-docs/physics.md derives what stands here.
+one, over the squared edge of a voxel, W/m^2. In a step what has arrived collides over the length
+l_m (voxels) between two centres, takes up what a source hands to the voxel, and flows on. The state
+is the light that has arrived. docs/physics.md derives what stands here; `Cells` says where it lies.
 """
 
 from dataclasses import dataclass
-from itertools import product
-from math import prod
 
 import numpy as np
 
-from .lattice import DIRECTIONS
-
-MOVING = DIRECTIONS[1:]
-"""(18, 3) int, c_m in voxels a step: six along the axes, then twelve diagonals."""
+from .cells import MOVING, OPPOSITE, THROUGH, Cells
 
 LENGTHS = np.linalg.norm(MOVING, axis=1)
 """(18,) voxels, l_m."""
-
-OPPOSITE = np.array([np.flatnonzero((-c == MOVING).all(axis=1))[0] for c in MOVING])
-"""(18,) int, the direction straight back."""
 
 
 def _weights():
@@ -51,8 +42,6 @@ CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
 """How many more than one of the voxels beside a diagonal light on it meets: so many that with all
 directions it enters 3/2 voxels a voxel's edge, as straight lines of all directions do."""
 
-_EMPTY = 1e-2  # transport depth of a domain full of what a voxel holds, if that counts as nothing
-
 
 @dataclass(frozen=True)
 class Source:
@@ -71,9 +60,9 @@ class Source:
 
 
 def rates(depth, albedo, g):
-    """(even, odd, absorbed), each (18, nx, ny, nz): the share of each part that a step changes.
+    """(even, odd, absorbed), each (18, ...): the share of each part that a step changes.
 
-    depth  (nx, ny, nz), optical depth of a voxel's edge
+    depth  (...), optical depth of a voxel's edge
     Even parts relax by the second moment of the phase function, odd ones by the first. Empty
     voxels change nothing: there light streams on.
     """
@@ -97,30 +86,46 @@ def returned(depth, albedo, g):
         return REFLECTED / (1 + 1 / (max(depth.shape) * depth * (1 - albedo * g)))
 
 
-def open_faces(depth, albedo, g, occlusion=None):
+def mirrors(depth, albedo, g, occlusion, cells):
+    """Where light that leaves comes back: (outside, {face: (cells, shares)}).
+
+    outside  (count,), the share in each cell outside of the domain, the mean of those of the voxels
+             whose light comes there; 0 inside
+    face     0 to 5 for -x, +x, -y, +y, -z, +z: in these empty cells the share of what came through
+             that face, an open one, goes back
+    """
+    share = cells.flat(returned(depth, albedo, g))
+    inside = cells.flat(np.ones(depth.shape))
+    arriving, sources = (
+        sum(np.roll(values, step) for step in cells.steps()) for values in (share, inside)
+    )
+    outside = np.where(inside > 0, 0, arriving / np.maximum(sources, 1))
+    faces, within = cells.flat(open_faces(depth, occlusion)), {}
+    for face, directions in enumerate(THROUGH):
+        ahead = cells.steps()[directions[0]]  # the first of them is along the axis
+        at = np.flatnonzero(np.roll(faces >> face & 1, ahead) * inside)
+        within[face] = at, share[at - ahead]
+    return outside, within
+
+
+def open_faces(depth, occlusion=None):
     """(nx, ny, nz) uint8, the bits of the faces -x, +x, -y, +y, -z, +z of a voxel that are open.
 
     That is where the medium ends in a plane, as it does at the domain's faces: the nine voxels
     beyond are empty, and what leaves in any of the five directions through it meets nothing more.
     """
     clear = np.zeros(depth.shape) == (0 if occlusion is None else occlusion)
-    empty = clear & (max(depth.shape) * depth * (1 - albedo * g) <= _EMPTY)
+    empty = clear & (depth == 0)
     free = np.array([_is_free(empty, clear, c) for c in MOVING])
     faces = np.zeros(depth.shape, np.uint8)
-    for axis, side in product(range(3), (0, 1)):
-        nine, outward = empty, np.zeros(3, int)
-        for across in {0, 1, 2} - {axis}:
-            step = np.eye(3, dtype=int)[across]
-            nine = nine & _at(nine, step, True) & _at(nine, -step, True)
-        outward[axis] = 2 * side - 1
-        ends = _at(nine, outward, True) & free[MOVING @ outward > 0].all(axis=0)
-        faces |= ends.astype(np.uint8) << (2 * axis + side)
+    for face, directions in enumerate(THROUGH):
+        outward = MOVING[directions[0]]
+        nine = empty
+        for across in np.eye(3, dtype=int)[outward == 0]:
+            nine = nine & _at(nine, across, True) & _at(nine, -across, True)
+        ends = _at(nine, outward, True) & free[directions].all(axis=0) & ~empty
+        faces |= ends.astype(np.uint8) << face
     return faces
-
-
-def through(c):
-    """The bits of the faces that light along c leaves a voxel by."""
-    return sum(1 << (2 * axis + (c[axis] > 0)) for axis in np.flatnonzero(c))
 
 
 def _is_free(empty, clear, c):
@@ -152,9 +157,17 @@ def _at(values, step, outside):
     return found
 
 
+def _overlap(c, shape):
+    """(here, upstream): the slices of the voxels that light along c reaches from another voxel,
+    and of those that it comes from."""
+    sizes = list(zip(c, shape, strict=True))
+    here = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
+    return here, tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)
+
+
 def _by_direction(depth):
-    """(18, nx, ny, nz): what lies between two centres."""
-    return LENGTHS[:, None, None, None] * depth
+    """(18, ...): what lies between two centres."""
+    return np.multiply.outer(LENGTHS, depth)
 
 
 class NumpyLattice:
@@ -167,130 +180,152 @@ class NumpyLattice:
     """
 
     def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0):
-        self.shape = depth.shape
+        self.shape, self.cells = depth.shape, Cells(depth.shape)
+        self.steps = self.cells.steps()
         depth = np.asarray(depth, float)
+        self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells)
+        self.inside = self.cells.is_inside()
+        self.occluders = None
+        if occlusion is not None:
+            self.occluders = _Occluders(self.cells, occlusion, occlusion_albedo)
+        depth = self.cells.flat(depth)
         self.even, self.odd, self.absorbed = rates(depth, albedo, g)
-        share, opened = returned(depth, albedo, g), open_faces(depth, albedo, g, occlusion)
-        self.returned = np.stack([np.where(opened & through(c), share, 0) for c in MOVING])
         # Over the depth of a voxel, which leaves a number in empty ones.
-        self.drifted = _by_direction(1.0) / (1 + _by_direction(depth * (1 - albedo * g)) / 2)
-        self.lingered = _by_direction(1.0) / (1 + _by_direction(depth * (1 - albedo)) / 2)
+        self.drifted = _by_direction(1.0)[:, None] / (
+            1 + _by_direction(depth * (1 - albedo * g)) / 2
+        )
+        self.lingered = _by_direction(1.0)[:, None] / (1 + _by_direction(depth * (1 - albedo)) / 2)
         # The weights of isotropic light: what collides, or in empty voxels the length of flight.
-        pull = np.where(self.even[0] > 0, self.even, _by_direction(1.0))
-        self.pull = pull / np.tensordot(WEIGHTS, pull, axes=1)
-        self.occlusion = None if occlusion is None else np.asarray(occlusion, float)
-        self.reflecting = None if occlusion is None else self.occlusion * occlusion_albedo
+        pull = np.where(self.even[0] > 0, self.even, LENGTHS[:, None])
+        self.pull = pull / (WEIGHTS @ pull)
 
     @staticmethod
     def buffers(shape, occluded):
         """{what: bytes} for a lattice of this shape, float64."""
-        voxels = 8 * prod(shape)
-        plan = {"light": 18 * voxels, "light that flows in": 18 * voxels, "rates": 6 * 18 * voxels}
-        plan |= {"source": 2 * 18 * voxels, "work": 3 * 18 * voxels}
+        directions = 18 * 8 * Cells(shape).count
+        plan = {"light": directions, "light that flows on": directions, "rates": 6 * directions}
+        plan |= {"source": 2 * directions, "work": 3 * directions}
         if occluded:
-            plan["occlusion"] = 2 * voxels
+            plan["occluders"] = 4 * directions
         return plan
 
     def start(self, source):
         """Dark, with a `Source`."""
-        weight = WEIGHTS[:, None, None, None]
-        self.emitted = weight * LENGTHS[:, None, None, None] / MEAN_LENGTH * source.power
-        along = np.tensordot(MOVING, source.drift, axes=1)
-        self.drift = weight / SECOND_MOMENT * self.drifted * along
-        self.reflected = 0.0 if source.reflected is None else source.reflected
-        self.light = np.zeros((18, *self.shape))
+        power, drift = self.cells.flat(source.power), self.cells.flat(source.drift)
+        self.emitted = np.multiply.outer(WEIGHTS * LENGTHS / MEAN_LENGTH, power)
+        self.drift = WEIGHTS[:, None] / SECOND_MOMENT * self.drifted * (MOVING @ drift)
+        if self.occluders is not None:
+            self.occluders.start(source.reflected)
+        self.light = np.zeros((18, self.cells.count))
 
     def advance(self, steps):
         """Take so many steps."""
         for _ in range(steps):
-            self.light = (1 - self.returned) * self._collided(self._streamed())
-
-    def _streamed(self):
-        """(18, nx, ny, nz): what flows into each voxel."""
-        f = (self.returned / (1 - self.returned) * self.light)[OPPOSITE]
-        for m, c in enumerate(MOVING):
-            here, upstream = _overlap(c, self.shape)
-            arriving = self.light[m][upstream]
-            if self.occlusion is not None:
-                arriving = arriving * self._past(c)[here] * (1 - self.occlusion[here])
-            f[m][here] += arriving
-        return f if self.occlusion is None else f + self._reflected()
-
-    def _reflected(self):
-        """(18, nx, ny, nz): what opaque voxels around each voxel send back into it.
-
-        All of it together goes off evenly in all directions away from them: sent straight back,
-        light would go to and fro for ever between white walls.
-        """
-        away = np.zeros_like(self.light)  # share of isotropic light that goes back from there
-        for m, c in enumerate(MOVING):
-            here, upstream = _overlap(c, self.shape)
-            beside = self._beside(self.reflecting, c)[here]
-            away[m][here] = beside + self._past(c)[here] * self.reflecting[upstream]
-        reflected = self.reflected + np.sum(away[OPPOSITE] * self.light, axis=0)
-        away *= WEIGHTS[:, None, None, None]
-        total = away.sum(axis=0)
-        return away * np.divide(reflected, total, out=np.zeros(self.shape), where=total > 0)
-
-    def _beside(self, share, c):
-        """(nx, ny, nz), what is stopped of light to each voxel by the two that a diagonal c leads
-        between, of which that share counts; 0 along axes."""
-        if np.abs(c).sum() == 1:
-            return np.zeros(self.shape)
-        occlusion, share = (_mean_beside(values, c) for values in (self.occlusion, share))
-        return share * (1 + CROWDED * (1 - occlusion))
-
-    def _past(self, c):
-        return 1 - self._beside(self.occlusion, c)
+            self.light = self._streamed(self._collided(self.light))
 
     def _collided(self, f):
+        """(18, count): what flows on of what has arrived."""
         even, odd = (f + f[OPPOSITE]) / 2, (f - f[OPPOSITE]) / 2
         isotropic = self._isotropic(f)
         even -= self.even * (even - isotropic) + self.absorbed * isotropic
         even += self.emitted * (1 - self.absorbed / 2)
-        return even + odd * (1 - self.odd) + self.drift
+        out = even + odd * (1 - self.odd) + self.drift
+        out = np.where(self.inside, out, self.outside * f[OPPOSITE])
+        for face, (at, share) in self.within.items():
+            for m in THROUGH[face]:
+                back = share * out[m, at]
+                out[m, at] -= back
+                out[OPPOSITE[m], at] += back
+        return out
+
+    def _streamed(self, out):
+        """(18, count): what arrives of what flows on."""
+        arrived = np.array([np.roll(f, step) for f, step in zip(out, self.steps, strict=True)])
+        return arrived if self.occluders is None else self.occluders.met(arrived)
 
     def _isotropic(self, f):
-        """(18, nx, ny, nz): the light spread evenly that collisions lead to."""
-        return WEIGHTS[:, None, None, None] * np.sum(self.pull * f, axis=0)
+        """(18, count): the light spread evenly that collisions lead to."""
+        return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
     def fluence(self):
         """(nx, ny, nz) W/m^2; absorption times it is what the steps absorb."""
-        passing = self._isotropic(self._streamed()) + self.emitted / 2
-        return np.sum(passing * self.lingered, axis=0)
+        passing = self._isotropic(self.light) + self.emitted / 2
+        return self.cells.inside(np.sum(passing * self.lingered, axis=0))
 
     def flux(self):
         """(3, nx, ny, nz) W/m^2."""
-        passing = self._streamed() * (1 - self.odd / 2) + self.drift / 2
-        return np.tensordot(MOVING.T.astype(float), passing, axes=1)
+        passing = self.light * (1 - self.odd / 2) + self.drift / 2
+        return self.cells.inside(MOVING.T.astype(float) @ passing)
 
     def lost(self):
         """(left (6,), stopped): the light of a step that leaves through the faces -x, +x, -y, +y,
         -z, +z, and that occluders absorb; sums over voxels of W/m^2."""
-        left, stopped = np.zeros(6), 0.0
-        for m, c in enumerate(MOVING):
-            outside = np.ones(self.shape, bool)
-            here, upstream = _overlap(c, self.shape)  # light goes from `upstream` to `here`
-            outside[upstream] = False
+        left = np.zeros(6)
+        leaving = (1 - self.outside) * self.light
+        for m, (c, step) in enumerate(zip(MOVING, self.steps, strict=True)):
+            gone = self.cells.inside(np.roll(leaving[m] * ~self.inside, -step))
             for axis in np.flatnonzero(c):  # a diagonal leaves through the first face of the two
-                face = np.zeros(self.shape, bool)
-                face[(slice(None),) * axis + (-1 if c[axis] > 0 else 0,)] = True
-                left[2 * axis + (c[axis] > 0)] += self.light[m][face & outside].sum()
-                outside &= ~face
-            if self.occlusion is not None:
-                kept = self.occlusion - self.reflecting
-                kept = self._beside(kept, c)[here] + self._past(c)[here] * kept[here]
-                stopped += np.sum(kept * self.light[m][upstream])
-        return left, stopped
+                border = (slice(None),) * axis + (-1 if c[axis] > 0 else 0,)
+                left[2 * axis + (c[axis] > 0)] += gone[border].sum()
+                gone[border] = 0
+        return left, 0.0 if self.occluders is None else self.occluders.stopped
 
 
-def _mean_beside(values, c):
-    return sum(_at(values, -part, 0) / 2 for part in _parts(c))
+class _Occluders:
+    """Opaque voxels, and what they do to light on its way from cell to cell.
 
+    Of all of these, (18, count), row m is of light that arrives at a cell along m; nothing is
+    stopped on the way out of the domain, nor of what comes back from there.
 
-def _overlap(c, shape):
-    """(here, upstream): the slices of the voxels that light along c reaches from another voxel,
-    and of those that it comes from."""
-    sizes = list(zip(c, shape, strict=True))
-    here = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
-    return here, tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)
+    passed    the share that arrives
+    back      the share that goes back to where it came from
+    stopped   the sum of what they have absorbed of the last step, W/m^2
+    """
+
+    def __init__(self, cells, occlusion, albedo):
+        self.cells, self.steps = cells, cells.steps()
+        occlusion = np.asarray(occlusion, float)
+        inside, opaque = cells.flat(np.ones(cells.shape)), cells.flat(occlusion)
+        reflecting = cells.flat(occlusion * albedo)
+        self.passed, self.back = np.ones((18, cells.count)), np.zeros((18, cells.count))
+        for m, (c, step) in enumerate(zip(MOVING, self.steps, strict=True)):
+            between = inside * np.roll(inside, step) > 0
+            stopped, beside = self._beside(opaque, reflecting, c)
+            self.passed[m] = np.where(between, (1 - stopped) * (1 - opaque), 1)
+            self.back[m] = np.where(between, beside + (1 - stopped) * reflecting, 0)
+        # What goes back of light that left a cell along m, at that cell.
+        self.sent_back = np.array(
+            [np.roll(back, -step) for back, step in zip(self.back, self.steps, strict=True)]
+        )
+        self.spread = WEIGHTS @ self.sent_back
+        self.stopped = 0.0
+
+    def _beside(self, opaque, reflecting, c):
+        """(count,) each: the shares that the two voxels beside a diagonal on its way to each cell
+        stop, and send back; none along axes."""
+        if np.abs(c).sum() == 1:
+            return np.zeros((2, self.cells.count))
+        parts = np.diag(c)[c != 0] @ (self.cells.plane, self.cells.row, 1)
+        means = [
+            sum(np.roll(values, part) / 2 for part in parts) for values in (opaque, reflecting)
+        ]
+        return np.multiply(means, 1 + CROWDED * (1 - means[0]))
+
+    def start(self, reflected):
+        """reflected is that of a `Source`."""
+        none = np.zeros(self.cells.shape)
+        self.reflected = self.cells.flat(none if reflected is None else reflected)
+
+    def met(self, arriving):
+        """(18, count): what arrives where all of this would without them.
+
+        What they send back to a cell goes off evenly in all directions away from them: sent
+        straight back, light would go to and fro for ever between white walls.
+        """
+        self.stopped = float(np.sum((1 - self.passed - self.back) * arriving))
+        sent = [np.roll(f, -step) for f, step in zip(arriving, self.steps, strict=True)]
+        returning = self.reflected + np.sum(self.sent_back * sent, axis=0)
+        density = np.divide(
+            returning, self.spread, out=np.zeros(self.cells.count), where=self.spread > 0
+        )
+        return self.passed * arriving + WEIGHTS[:, None] * self.sent_back[OPPOSITE] * density

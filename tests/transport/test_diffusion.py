@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from lb_lighting.transport import Medium, Settings, physical_numpy, solve
+from lb_lighting.transport.cells import MOVING
 from lb_lighting.transport.direct import fade
 from lb_lighting.transport.physical_numpy import (
     LENGTHS,
     MEAN_LENGTH,
-    MOVING,
-    OPPOSITE,
     WEIGHTS,
     NumpyLattice,
     Source,
@@ -33,18 +32,12 @@ class Layers(NumpyLattice):
     def __init__(self, count, depth, albedo, g=0.0, normal=AXIS):
         depth = np.full((1, 1, count), float(depth))
         super().__init__(depth, albedo, g)
-        self.normal, self.through = np.array(normal), MOVING @ normal
-        next_layer = np.arange(count) + self.through[:, None]
-        ends = (next_layer < 0) | (next_layer >= count)
-        self.returned = ends[:, None, None] * returned(depth, albedo, g)
-
-    def _streamed(self):
-        f = (self.returned / (1 - self.returned) * self.light)[OPPOSITE]
-        for m, shift in enumerate(self.through):
-            upstream = np.arange(self.shape[2]) - shift
-            here = (upstream >= 0) & (upstream < self.shape[2])
-            f[m][..., here] += self.light[m][..., upstream[here]]
-        return f
+        self.normal, self.steps = np.array(normal), MOVING @ normal
+        self.outside = np.where(self.inside, 0, returned(depth, albedo, g)[0, 0, 0])
+        self.within = {}
+        farthest = int(self.steps.max())
+        self.first, self.end = self.cells.first, self.cells.first + count
+        self.used = slice(self.first - farthest, self.end + farthest)
 
     def settle(self, power, place=0.0, direction=0.0):
         """Go to what steps tend to, by linear algebra. Each (count,) W/m^2 along the normal:
@@ -56,14 +49,18 @@ class Layers(NumpyLattice):
         drift[:] = self.normal[:, None, None, None] * (place + direction)
         self.start(Source(np.broadcast_to(power, self.shape), drift))
         self.advance(1)
-        given, columns = self.light.ravel(), []
-        for unit in np.eye(given.size):
-            self.light = unit.reshape(self.light.shape)
+        given, columns = self.light[:, self.used].copy(), []
+        for number in range(given.size):
+            self.light = np.zeros_like(self.light)
+            used = np.zeros(given.size)
+            used[number] = 1
+            self.light[:, self.used] = used.reshape(given.shape)
             self.advance(1)
-            columns.append(self.light.ravel() - given)
+            columns.append((self.light[:, self.used] - given).ravel())
         step = np.array(columns).T
-        light = np.linalg.solve(np.eye(given.size) - step, given)
-        self.light = light.reshape(self.light.shape)
+        light = np.linalg.solve(np.eye(given.size) - step, given.ravel())
+        self.light = np.zeros_like(self.light)
+        self.light[:, self.used] = light.reshape(given.shape)
         return self
 
     def fluence_by_layer(self):
@@ -74,9 +71,9 @@ class Layers(NumpyLattice):
         return self.normal @ self.flux()[:, 0, 0]
 
     def left(self):
-        """(2,) W/m^2 through the first face, and through the last; for AXIS."""
-        out = self.light
-        return np.array([out[self.through < 0, ..., 0].sum(), out[self.through > 0, ..., -1].sum()])
+        """(2,) W/m^2 through the first face, and through the last."""
+        leaving = (1 - self.outside) * self.light
+        return np.array([leaving[:, : self.first].sum(), leaving[:, self.end :].sum()])
 
 
 def one_bright(count, number):
@@ -124,10 +121,10 @@ def test_a_pulse_spreads_by_the_mean_length_a_step(depth, g):
     r2 = sum(np.meshgrid(axis**2, axis**2, axis**2, indexing="ij", sparse=True))
     dark = np.zeros((n, n, n))
     lattice.start(Source(dark, np.zeros((3, n, n, n))))
-    lattice.light += WEIGHTS[:, None, None, None] * np.exp(-r2 / (2 * 1.5**2))
+    lattice.light = np.multiply.outer(WEIGHTS, lattice.cells.flat(np.exp(-r2 / (2 * 1.5**2))))
 
     def variance():
-        total = lattice.light.sum(axis=0)
+        total = lattice.cells.inside(lattice.light.sum(axis=0))
         return (total * r2).sum() / total.sum()
 
     lattice.advance(10)  # past the start, where the fluxes form
@@ -178,13 +175,14 @@ def test_light_of_a_white_cube_dies_away_as_diffusion_says(n, depth):
     lattice = NumpyLattice(np.full((n, n, n), depth), 1.0, 0.0)
     dark = np.zeros(lattice.shape)
     lattice.start(Source(dark, np.zeros((3, *lattice.shape))))
-    lattice.light += WEIGHTS[:, None, None, None]
+    lattice.light = np.multiply.outer(WEIGHTS, lattice.cells.flat(np.ones(lattice.shape)))
     lattice.advance(4 * n * n)  # the slowest wave is left
-    before = lattice.light.sum()
+    before = lattice.cells.inside(lattice.light).sum()
     lattice.advance(10)
     edge = n + 4 / (3 * depth)
     expected = np.pi**2 * MEAN_LENGTH / (depth * edge**2)
-    assert np.log(before / lattice.light.sum()) / 10 == pytest.approx(expected, rel=0.03)
+    after = lattice.cells.inside(lattice.light).sum()
+    assert np.log(before / after) / 10 == pytest.approx(expected, rel=0.03)
 
 
 # --- Absorption ----------------------------------------------------------------------------------
@@ -217,7 +215,8 @@ def decay_on_lattice(depth, albedo, g, normal):
     """The same of the wave, fading along a normal, that a step leaves as it is."""
     lattice = NumpyLattice(np.full((18, 1, 1), depth), albedo, g)
     lattice.start(Source(np.zeros(lattice.shape), np.zeros((3, *lattice.shape))))
-    collision = lattice._collided(np.eye(18)[:, :, None, None])[:, :, 0, 0]
+    each = lattice.cells.flat(np.eye(18)[:, :, None, None])  # in a voxel of its own
+    collision = lattice.cells.inside(lattice._collided(each))[:, :, 0, 0]
     along = MOVING @ np.divide(normal, np.linalg.norm(normal))
     none, all_of_it = 0.0, 2.0 * depth
     for _ in range(50):
@@ -267,9 +266,11 @@ def test_absorption_times_fluence_is_what_a_step_absorbs():
     power = rng.random(depth.shape)
     lattice.start(Source(power, rng.standard_normal((3, *depth.shape))))
     lattice.light = rng.random(lattice.light.shape)
-    arriving, absorbed = lattice._streamed().sum(axis=0), 0.2 * depth * lattice.fluence()
-    lattice.advance(1)
-    leaving = (lattice.light / (1 - lattice.returned)).sum(axis=0)
+    arriving, leaving = (
+        lattice.cells.inside(light.sum(axis=0))
+        for light in (lattice.light, lattice._collided(lattice.light))
+    )
+    absorbed = 0.2 * depth * lattice.fluence()
     np.testing.assert_allclose(arriving + power - leaving, absorbed, atol=1e-12)
 
 

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the cells of a lattice lie in memory, and where its light leaves for good.
+
+All cells lie one behind the other, z fastest, so that from each to its neighbour along a direction
+it is the same number of cells. Around the voxels there is a layer of cells for the vacuum outside:
+what leaves the domain comes there, and nothing else does.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from .lattice import DIRECTIONS
+
+MOVING = DIRECTIONS[1:]
+"""(18, 3) int, c_m in voxels a step: six along the axes, then twelve diagonals."""
+
+OPPOSITE = np.array([np.flatnonzero((-c == MOVING).all(axis=1))[0] for c in MOVING])
+"""(18,) int, the direction straight back."""
+
+THROUGH = [np.flatnonzero(MOVING[:, axis] == side) for axis, side in product(range(3), (-1, 1))]
+"""For each of the faces -x, +x, -y, +y, -z, +z, the five directions that lead out of it."""
+
+GROUP = 256
+"""Cells that a work-group takes; their number is a multiple of it."""
+
+
+class Cells:
+    """The cells of a domain of `shape` voxels."""
+
+    def __init__(self, shape):
+        self.shape = nx, ny, nz = tuple(shape)
+        self.row, self.plane = nz + 2, (ny + 2) * (nz + 2)
+        self.first = self.plane + self.row + 1  # the first voxel's
+        self.count = -(-((nx + 2) * self.plane) // GROUP) * GROUP
+
+    def steps(self):
+        """(18,) int, cells from each to its neighbours along `MOVING`."""
+        return MOVING @ (self.plane, self.row, 1)
+
+    def is_inside(self):
+        """(count,) bool, which cells are voxels of the domain."""
+        return self.flat(np.ones(self.shape, bool), False)
+
+    def flat(self, values, outside=0):
+        """(..., count) of values (..., nx, ny, nz), and of what is outside."""
+        cells = np.full((*values.shape[:-3], self.count), outside, values.dtype)
+        self.inside(cells)[...] = values
+        return cells
+
+    def inside(self, cells):
+        """(..., nx, ny, nz), the part of (..., count) in the domain: a view."""
+        wide = [n + 2 for n in self.shape]
+        used = cells[..., : wide[0] * self.plane].reshape(*cells.shape[:-1], *wide)
+        return used[..., 1:-1, 1:-1, 1:-1]
