@@ -14,7 +14,6 @@
 #define UNIT 0x1p30f     // in a weight of 1; a voxel's diagonal still fits a signed word
 #define FAINTEST 0x1p-32f // a weight of which no score is a unit any more
 #define SLOWEST 1e-18f   // a direction's component closer to zero than this is taken for this
-#define THIN 0.5f        // optical depth up to which series are used
 
 // What a voxel's tallies count. A score is the length of unscattered light's paths, or where a
 // voxel's edge is deeper than 1, the weight that collides; they differ by that depth.
@@ -53,31 +52,6 @@ inline void add_vector(volatile __global uint *tally, const size_t upper, const 
 inline long in_units(const float weight)
 {
     return convert_long_rte(weight * UNIT);
-}
-
-// How light fades over an optical depth, all finite down to a depth of 0.
-typedef struct {
-    float through; // exp(-depth)
-    float mean;    // of that over the way: (1 - through) / depth
-    float lost;    // (1 - mean) / depth
-    float place;   // where on the way it collides, on average, from 0 to 1
-} Fade;
-
-inline Fade fade(const float t)
-{
-    Fade f;
-    f.through = exp(-t);
-    if (t < THIN) {
-        f.lost = 0.5f - t * (1 / 6.0f - t * (1 / 24.0f - t * (1 / 120.0f - t * (1 / 720.0f
-                 - t * (1 / 5040.0f - t * (1 / 40320.0f))))));
-        f.mean = 1.0f - t * f.lost;
-        f.place = 0.5f - t * (1 / 12.0f - t * t * (1 / 720.0f - t * t * (1 / 30240.0f)));
-    } else {
-        f.mean = (1.0f - f.through) / t;
-        f.lost = (1.0f - f.mean) / t;
-        f.place = 1.0f / t - f.through / (1.0f - f.through);
-    }
-    return f;
 }
 
 // Where a ray is after a step along an axis; `rest` keeps what rounding lost (Kahan 1965), as a ray

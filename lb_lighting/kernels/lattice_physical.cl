@@ -255,17 +255,18 @@ __kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
     f[m] = ARRIVED(m, back, cell, STEP(cx, cy, cz));                                       \
     f[back] = ARRIVED(back, m, cell, -STEP(cx, cy, cz));
 
-// Of the voxel that a work-item of the range (nz, ny, nx) stands for; `origin` is the first's cell.
+// Of the voxel that a work-item of the range (nz, ny, nx) stands for, in every so manieth layer;
+// `origin` is the first's cell.
 #define LOOK_AT_VOXEL                                                                      \
     const size_t z = get_global_id(0), y = get_global_id(1), x = get_global_id(2);         \
     const size_t voxel = (x * get_global_size(1) + y) * get_global_size(0) + z;            \
-    const size_t cell = origin + STEP(x, y, z);                                            \
+    const size_t cell = origin + STEP(x * every, y, z);                                    \
     LOOK                                                                                   \
     float f[DIRECTIONS];                                                                   \
     FOR_EACH_PAIR(READ)
 
 __kernel void read_fluence(GRID, __global const float *light, const int swapped, MEDIUM, SOURCE,
-                           const ulong origin, __global float *fluence)
+                           const ulong origin, const ulong every, __global float *fluence)
 {
     LOOK_AT_VOXEL
     const float density = isotropic(f, axis, diagonal), half_emitted = 0.5f * emitted;
@@ -283,7 +284,7 @@ __kernel void read_fluence(GRID, __global const float *light, const int swapped,
     }
 
 __kernel void read_flux(GRID, __global const float *light, const int swapped, MEDIUM, SOURCE,
-                        const ulong origin, __global float *flux)
+                        const ulong origin, const ulong every, __global float *flux)
 {
     LOOK_AT_VOXEL
     const size_t voxels = get_global_size(0) * get_global_size(1) * get_global_size(2);

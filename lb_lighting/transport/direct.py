@@ -8,13 +8,15 @@ each light.
 """
 
 from dataclasses import dataclass
-from math import factorial, prod
+from math import prod
 
 import numpy as np
 
 from ..errors import Cancelled
 from . import device as devices
-from .lights import Emission, Sun
+from .fade import fade, own_place
+from .lights import Emission, Sky, Sun, rank_1, shift_of
+from .sweep import Beam, NumpySweep
 
 # What a voxel's tallies and the sums of all rays count, as in kernels/direct.cl.
 _SCORE, _POSITION, _DIRECTION, _TALLIES = 0, slice(1, 4), slice(4, 7), 7
@@ -26,7 +28,6 @@ _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
 _MOST, _FOR_ALL = 2**22, 4
 _BORDER = 1e-6  # voxels from a face of the domain within which a ray comes from outside
 _SLOWEST = 1e-18  # a direction's component closer to zero than this is taken for this
-_THIN = 0.5  # optical depth up to which series are used
 
 
 @dataclass
@@ -93,9 +94,12 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None):
     cancel    called without arguments; the cast ends with `Cancelled` where it returns true
     Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
     """
+    device = devices.choose(device)
+    if isinstance(light, (Sun, Sky)) and medium.occlusion is None:
+        return _swept(medium, light, band, sigma_t, device, per_edge, cancel)
     emission = light.spectrum[band] if isinstance(light, Emission) else None
     voxels = _voxels(medium, band, sigma_t, emission)
-    march = _march(devices.choose(device), voxels, directed=not isinstance(light, Sun))
+    march = _march(device, voxels, directed=not isinstance(light, Sun))
     strongest, pieces = _rays(light, medium, band, per_edge)
     # W of a ray of weight 1, the largest that there is. Rays that gather light have at most that
     # of all the voxels that they can cross.
@@ -128,6 +132,37 @@ def plan(shape, occluded=True):
     work = 8 * (_TALLIES + 3) * voxels
     rays = 40 * 8 * 2 * _AT_ONCE
     return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
+
+
+def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
+    """The `Cast` of a sun or a sky where nothing is opaque: of each of its suns, by layers."""
+    directions, irradiances, of_each = light.suns(medium, band, per_edge)
+    lattice, depth = rank_1(of_each**2), medium.depth(sigma_t)
+    strongest = float(irradiances.max(initial=0)) * medium.voxel_size**2 / lattice.shape[1]
+    tallies = np.zeros((_TALLIES, *medium.shape), np.float32)
+    left, entered = np.zeros(_EMITTED + 1), 0.0
+    for number, direction in enumerate(directions if strongest > 0 else ()):
+        beam = Beam(direction, medium.shape, (lattice + shift_of(number)) % 1)
+        share = irradiances[number] / irradiances.max() * beam.dw
+        scores, rays = _sweep(device, beam, depth).run(cancel)
+        through, count = beam.leaving(rays)
+        left[:_STOPPED] += share * through
+        entered += strongest * share * count
+        score, u, v, w = (beam.back(values) * share for values in scores)
+        tallies[_SCORE] += score
+        for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
+            tallies[_POSITION][axis] += -place if backward else place
+        for axis in range(3):
+            tallies[_DIRECTION][axis] += direction[axis] * score
+    return _cast(medium, sigma_t, strongest, (tallies, None, left), None, entered)
+
+
+def _sweep(device, beam, depth):
+    if device.kind == "NumPy":
+        return NumpySweep(beam, depth)
+    from .direct_opencl import OpenclSweep  # only now: it needs pyopencl
+
+    return OpenclSweep(device, beam, depth)
 
 
 def _voxels(medium, band, sigma_t, emission):
@@ -316,7 +351,7 @@ class NumpyMarch:
             fresh = gathered * self.voxels.glow.flat[at] * way
             own = fresh * np.where(edge > 1, 1 - mean, way * lost)
             total = total + own
-            along = along + own * way * _own_place(depth, mean, place)
+            along = along + own * way * own_place(depth, mean, place)
             weights = weights + fresh * mean
             self.sums[_EMITTED] += fresh.sum()
         sign = np.where(directions < 0, -1, 1)
@@ -338,39 +373,3 @@ class NumpyMarch:
 
     def _add(self, tallies, kind, at, scores):
         tallies[kind] += np.bincount(at, scores, tallies.shape[1])
-
-
-def fade(depth):
-    """How light fades over optical depths (n,), all finite down to a depth of 0.
-
-    Returns (n,) each: exp(-depth); the mean of that over the way, m = (1 - exp(-depth)) / depth;
-    (1 - m) / depth; and where on the way it collides, on average, from 0 to 1.
-    """
-    through = np.exp(-depth)
-    thin = depth < _THIN
-    t, far = np.where(thin, depth, 0), np.where(thin, 1, depth)
-    lost = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
-    mean = 1 - t * lost
-    place = _series(t, [1 / 2, -1 / 12, 0, 1 / 720, 0, -1 / 30240, 0, 1 / 1209600])
-    mean_far = -np.expm1(-far) / far
-    return (
-        through,
-        np.where(thin, mean, mean_far),
-        np.where(thin, lost, (1 - mean_far) / far),
-        np.where(thin, place, 1 / far + np.exp(-far) / np.expm1(-far)),
-    )
-
-
-def _own_place(depth, mean, place):
-    """(n,) where on a way light that starts evenly on it collides, on average, from 0 to 1."""
-    thin = depth < _THIN
-    t = np.where(thin, depth, 0)
-    # Of s (1 - exp(-t s)) over s from 0 to 1, and of 1 - exp(-t s), both by t.
-    moment = _series(t, [(-1) ** n / (factorial(n + 1) * (n + 3)) for n in range(14)])
-    share = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
-    far = (0.5 - mean * place) / np.where(thin, 1, 1 - mean)
-    return np.where(thin, moment / share, far)
-
-
-def _series(t, coefficients):
-    return np.polynomial.polynomial.polyval(t, coefficients)

@@ -4,12 +4,54 @@
 import numpy as np
 import pyopencl as cl
 
+from ..errors import Cancelled
 from .device import context, program, queue
 
 UNIT = 2.0**30  # of a tally, in a weight of 1
 _SUMS = 8  # as in kernels/direct.cl
 _GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
+
+
+class OpenclSweep:
+    """A `Beam` through voxels on a device; `NumpySweep` does the same."""
+
+    def __init__(self, device, beam, depth):
+        self.beam, self.context, self.queue = beam, context(device), queue(device)
+        built = program(device, ("fade.cl", "sweep.cl"), ())
+        self.tally, self.pass_on = (cl.Kernel(built, name) for name in ("tally", "pass"))
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        self.depth, self.ways = (
+            cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, np.float32))
+            for values in (beam.turned(depth), beam.ways())
+        )
+
+    def run(self, cancel=None):
+        """(tallies (4, nw, nu, nv), rays), float32."""
+        beam, flags = self.beam, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        rays = beam.rays().astype(np.float32)
+        tallies = np.empty((4, beam.nw, beam.nu, beam.nv), np.float32)
+        rays_buffer = cl.Buffer(self.context, flags, hostbuf=rays)
+        tallies_buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, tallies.nbytes)
+        count, voxels = len(beam.points), beam.nu * beam.nv
+        sizes = [np.int32(n) for n in (beam.nu, beam.nv, beam.beside, count)]
+        step = [np.float32(part) for part in (beam.du, beam.dv, beam.dw)]
+        offsets = (voxels, 8 * count, voxels)
+        for layer in range(beam.nw):
+            if cancel is not None and layer % 16 == 0 and cancel():
+                raise Cancelled("Cancelled; nothing was changed.")
+            first = [np.uint64(layer * offset) for offset in offsets]
+            arguments = (*sizes, *first, self.depth, self.ways, rays_buffer)
+            size = np.uint64(tallies[0].size)
+            self.tally(
+                *(self.queue, (int(beam.nv), int(beam.nu)), None, *arguments),
+                *(*step, tallies_buffer, size),
+            )
+            items = (int(beam.nv) + 1, int(beam.nu) + 1, count)
+            self.pass_on(self.queue, items, None, *arguments)
+        cl.enqueue_copy(self.queue, tallies, tallies_buffer)
+        cl.enqueue_copy(self.queue, rays, rays_buffer)
+        return tallies, rays
 
 
 class OpenclMarch:
@@ -22,7 +64,9 @@ class OpenclMarch:
         self.kinds = 7 if directed else 4
         occluded, emitting = voxels.occlusion is not None, voxels.glow is not None
         defines = {"DIRECTED": directed, "OCCLUDED": occluded, "EMITTING": emitting}
-        built = program(device, "direct.cl", tuple(name for name, on in defines.items() if on))
+        built = program(
+            device, ("fade.cl", "direct.cl"), tuple(name for name, on in defines.items() if on)
+        )
         self.kernel = cl.Kernel(built, "march")
         grids = (voxels.depth, voxels.occlusion, voxels.reflecting, voxels.glow)
         self.grids = [self._upload(np.zeros(1) if grid is None else grid) for grid in grids]

@@ -94,9 +94,12 @@ class Sun:
 
     def rays(self, medium, band, per_edge):
         """per_edge^2 rays or a few more through each lit face of a voxel on the domain's border."""
-        irradiance = by_band(self.irradiance, medium.bands)[[band]]
+        return _beams(medium.domain, *self.suns(medium, band, per_edge))
+
+    def suns(self, medium, band, per_edge):
+        """Its unit direction, (1, 3); its irradiance, (1,) W/m^2; per_edge."""
         toward = np.divide([self.direction], np.linalg.norm(self.direction))
-        return _beams(medium.domain, toward, irradiance, per_edge)
+        return toward, by_band(self.irradiance, medium.bands)[[band]], per_edge
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,15 @@ class Sky:
         return origins, _turned(inwards, axis), np.full(count, power)
 
     def rays(self, medium, band, per_edge):
-        """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter."""
+        """Those of its `suns`."""
+        return _beams(medium.domain, *self.suns(medium, band, per_edge))
+
+    def suns(self, medium, band, per_edge):
+        """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter.
+
+        Returns the unit directions in which their light goes, (n, 3); their irradiance, (n,) W/m^2;
+        the rays of each along a voxel's edge.
+        """
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
             across, height = _strata(count, 2, np.random.default_rng(0))
@@ -159,7 +170,7 @@ class Sky:
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
         of_each = _SUN_PER_EDGE if max(medium.shape) <= _FEW_VOXELS else 1
-        return _beams(medium.domain, -towards, irradiance / count, of_each)
+        return -towards, irradiance / count, of_each
 
     def parts(self):
         """[Sky]: what comes evenly from everywhere, where there is any, and the rest, likewise."""
@@ -442,14 +453,13 @@ def _beams(domain, directions, irradiances, per_edge):
     and the same in each voxel: each column of voxels gets the same light. It is shifted from
     beam to beam, so that the errors of many beams differ.
     """
-    lattice = _rank_1(per_edge**2)
+    lattice = rank_1(per_edge**2)
     area = domain.voxel_size**2 / lattice.shape[1]
     largest = float((irradiances * np.abs(directions).max(axis=1)).max()) * area
 
     def pieces():
         for beam, (direction, irradiance) in enumerate(zip(directions, irradiances, strict=True)):
-            shift = beam * np.array(_PLASTIC)[:, None]
-            within = (lattice + shift) % 1
+            within = (lattice + shift_of(beam)) % 1
             for axis in np.flatnonzero(direction):
                 for origins in _through_face(domain, axis, direction[axis] < 0, within):
                     power = irradiance * abs(direction[axis]) * area
@@ -473,7 +483,12 @@ def _through_face(domain, axis, upper, within):
         yield points.reshape(-1, 3) * domain.voxel_size + domain.origin
 
 
-def _rank_1(least):
+def shift_of(beam):
+    """(2, 1), by how much the lattice of a beam of some number is shifted."""
+    return beam * np.array(_PLASTIC)[:, None]
+
+
+def rank_1(least):
     """(2, n): a lattice of `least` points or a few more, spread evenly over the unit square.
 
     Coordinates, and their sums and differences, are different for all points, so that neither

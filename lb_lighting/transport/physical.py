@@ -19,10 +19,12 @@ from .lights import Emission, Sky, by_band, face_areas, multiple
 from .medium import repeated
 from .physical_numpy import NumpyLattice, Source
 
-# Rays along a voxel's edge; those of a sky, and of a medium that shines, go in many directions.
-_RAYS, _RAYS_OF_SKY = 6, 4
+# Rays along a voxel's edge, fewer where more than so many voxels share what single ones are off;
+# those of a sky, and of a medium that shines, go in many directions.
+_RAYS, _RAYS_AMONG_MANY, _MANY, _RAYS_OF_SKY = 6, 3, 48, 4
 _PHOTONS_A_VOXEL = 64
 _CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
+_CHECKED, _ALL_CHECKED = 4, 32  # every so manieth layer is looked at, where there are so many
 _CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
@@ -338,7 +340,9 @@ class _Work:
         shadow = getattr(light, "shadow_density", None)
         if shadow is not None and shadowed:
             medium = medium.altered(density=shadow)
-        rays = _RAYS_OF_SKY if isinstance(light, (Sky, Emission)) else _RAYS
+        rays = _RAYS if max(medium.shape) <= _MANY else _RAYS_AMONG_MANY
+        if isinstance(light, (Sky, Emission)):
+            rays = _RAYS_OF_SKY
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel)
 
     def _first_collisions(self, medium, lights, band, lit):
@@ -445,13 +449,14 @@ class _Work:
         come add up to q / (1 - q) of the last.
         """
         tolerance, most = self.settings.tolerance, self.settings.most_steps
+        every = 1 if lattice.shape[0] < _ALL_CHECKED else _CHECKED
         light, change, shrinking, error, steps = 0.0, None, [], 1.0, 0
         while steps < most and error > tolerance:
             if self.cancel is not None and self.cancel():
                 raise Cancelled("Cancelled; nothing was changed.")
             lattice.advance(min(_CHECK_EVERY, most - steps))
             steps = min(steps + _CHECK_EVERY, most)
-            before, light = light, lattice.fluence()
+            before, light = light, lattice.fluence(every)
             norm = float(np.linalg.norm(light))
             last, change = change, float(np.linalg.norm(light - before)) / (norm or 1.0)
             if last is not None:

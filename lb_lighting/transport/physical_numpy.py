@@ -247,10 +247,11 @@ class NumpyLattice:
         """(18, count): the light spread evenly that collisions lead to."""
         return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
-    def fluence(self):
-        """(nx, ny, nz) W/m^2; absorption times it is what the steps absorb."""
+    def fluence(self, every=1):
+        """(nx, ny, nz) W/m^2, of every so manieth layer along x; absorption times it is what the
+        steps absorb."""
         passing = self._isotropic(self.light) + self.emitted / 2
-        return self.cells.inside(np.sum(passing * self.lingered, axis=0))
+        return self.cells.inside(np.sum(passing * self.lingered, axis=0))[::every]
 
     def flux(self):
         """(3, nx, ny, nz) W/m^2."""

@@ -94,9 +94,10 @@ class OpenCLLattice:
                 self.occluders.meet()
         self.queue.finish()
 
-    def fluence(self):
-        """(nx, ny, nz) W/m^2, float32."""
-        return self._read("read_fluence", self.shape)
+    def fluence(self, every=1):
+        """(nx, ny, nz) W/m^2, float32; of every so manieth layer along x."""
+        nx, ny, nz = self.shape
+        return self._read("read_fluence", (-(-nx // every), ny, nz), every)
 
     def flux(self):
         """(3, nx, ny, nz) W/m^2, float32."""
@@ -114,12 +115,13 @@ class OpenCLLattice:
         stopped = 0.0 if self.occluders is None else self.occluders.stopped()
         return left.sum(axis=1, dtype=float), stopped
 
-    def _read(self, kernel, shape):
+    def _read(self, kernel, shape, every=1):
         values = np.empty(shape, np.float32)
         buffer = self._buffer(values.size)
         arguments = (*self.grid, self.light, self.swapped, *self.medium, self.source)
-        arguments += (np.uint64(self.cells.count), np.uint64(self.cells.first), buffer)
-        self.kernels[kernel](self.queue, self.shape[::-1], None, *arguments)
+        arguments += (np.uint64(self.cells.count), np.uint64(self.cells.first))
+        items = shape[-3:][::-1]
+        self.kernels[kernel](self.queue, items, None, *arguments, np.uint64(every), buffer)
         cl.enqueue_copy(self.queue, values, buffer)
         return values
 

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How fast the physical lattice steps and solves, in one run, on every runtime.
+
+    python -m tests.benchmarks.speed [steps solves]
+
+steps   million voxels a second of the paper's kernels, of ours, of ours without its collision (the
+        roof), and of a plain copy, GB/s
+solves  seconds of whole solves of a cloud by stage, from 32 to 192 voxels along an edge
+"""
+
+import sys
+from math import prod
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pyopencl as cl
+
+from lb_lighting.transport import Settings, Sun, device, solve
+from lb_lighting.transport.cells import GROUP, Cells
+from lb_lighting.transport.lattice import collision_matrix
+from lb_lighting.transport.paper import boundary_inflow
+from lb_lighting.transport.paper_opencl import PaperLattice
+from lb_lighting.transport.physical_numpy import Source
+from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
+from lb_lighting.transport.solver import KERNELS
+from tests.benchmarks.kernels import cloud
+from tests.benchmarks.media import cloud as puffs
+from tests.benchmarks.media import of_depth
+from tests.benchmarks.table import publish
+
+EDGES = (64, 128, 160)
+SOLVED = (32, 64, 96, 128, 192)
+STEPS, RUNS = {"paper": 4, "ours": 20}, 4
+SUN = Sun((0.3, 0.2, -0.93), 1.0)
+
+
+def steps():
+    for found in device.devices():
+        if found.kind == "NumPy":
+            continue
+        for edge in EDGES:
+            shape = (edge,) * 3
+            speeds = {kernel: paper_speed(found, shape, kernel) for kernel in KERNELS}
+            speeds["ours"] = our_speed(found, shape)
+            speeds["roof"] = roof(found, shape)
+            yield {
+                "platform": found.platform.split(",")[0],
+                "voxels": edge,
+                **speeds,
+                "ours / final": speeds["ours"] / speeds["final"],
+                "ours / roof": speeds["ours"] / speeds["roof"],
+                "copy, GB/s": copied(found, shape),
+                "bytes a voxel": sum(OpenCLLattice.buffers(shape, False).values()) / prod(shape),
+            }
+
+
+def fastest(run):
+    """Seconds of the fastest of some runs, after one that does not count."""
+    run()
+    seconds = []
+    for _ in range(RUNS):
+        start = perf_counter()
+        run()
+        seconds.append(perf_counter() - start)
+    return min(seconds)
+
+
+def paper_speed(found, shape, kernel):
+    medium = cloud(shape)
+    lattice = PaperLattice(medium, False, found, kernel)
+    omega = collision_matrix(medium.sigma_s[0], medium.sigma_a[0], medium.g[0])
+    lattice.start(boundary_inflow([SUN], 1)[0], omega)
+    count = STEPS["paper"]
+    return prod(shape) * count / fastest(lambda: lattice.advance(count)) / 1e6
+
+
+def our_speed(found, shape):
+    rng = np.random.default_rng(0)
+    lattice = OpenCLLattice(rng.uniform(0.1, 2, shape), 0.95, 0.5, None, 0.0, found)
+    lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
+    count = STEPS["ours"]
+    return prod(shape) * count / fastest(lambda: lattice.advance(count)) / 1e6
+
+
+def roof(found, shape):
+    queue, kernels, buffers = _roof(found, 1, 4 * _state_size(Cells(shape)))
+    cells, count = Cells(shape), STEPS["ours"]
+    grid = [np.uint64(n) for n in (cells.plane, cells.row, _stride(cells), cells.first)]
+
+    def run():
+        for step in range(count):
+            kernel = kernels["step_there" if step % 2 else "step_here"]
+            kernel(queue, (cells.count,), (GROUP,), *grid, *buffers)
+        queue.finish()
+
+    return prod(shape) * count / fastest(run) / 1e6
+
+
+def copied(found, shape):
+    """GB/s, read and written, of a copy of as much as the light of a lattice."""
+    floats = 18 * Cells(shape).count
+    queue, kernels, buffers = _roof(found, 2, 4 * floats)
+
+    def run():
+        kernels["copy"](queue, (floats,), (GROUP,), *buffers)
+        queue.finish()
+
+    return 2 * 4 * floats / fastest(run) / 1e9
+
+
+def _roof(found, buffers, size):
+    """(queue, {name: kernel} of roof.cl, buffers of so many bytes, filled)."""
+    context, queue = device.context(found), device.queue(found)
+    source = (Path(__file__).parent / "roof.cl").read_text()
+    program = cl.Program(context, source).build([f"-DGROUP={GROUP}", "-cl-denorms-are-zero"])
+    made = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(buffers)]
+    for buffer in made:
+        cl.enqueue_fill_buffer(queue, buffer, np.float32(0), 0, size)
+    return queue, {kernel.function_name: kernel for kernel in program.all_kernels()}, made
+
+
+def solves():
+    found = device.choose()
+    for edge in SOLVED:
+        medium = of_depth(puffs(edge), 20, 0.99, 0.85)
+        report = solve(medium, [SUN], Settings(), found).report
+        yield {
+            "voxels": edge,
+            "steps": report.steps,
+            **report.seconds,
+            "ns a voxel and step": 1e9 * report.seconds["solve"] / edge**3 / report.steps,
+        }
+
+
+PARTS = {"steps": steps, "solves": solves}
+
+
+def main(parts):
+    for part in parts or PARTS:
+        publish(f"speed-{part}", device.choose().label, list(PARTS[part]()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
