@@ -139,7 +139,9 @@ def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
     directions, irradiances, of_each = light.suns(medium, band, per_edge)
     lattice, depth = rank_1(of_each**2), medium.depth(sigma_t)
     strongest = float(irradiances.max(initial=0)) * medium.voxel_size**2 / lattice.shape[1]
-    tallies = np.zeros((_TALLIES, *medium.shape), np.float32)
+    alone = len(directions) == 1
+    kinds = _TALLIES - 3 if alone else _TALLIES
+    tallies = np.zeros((kinds, *medium.shape), np.float32)
     left, entered = np.zeros(_EMITTED + 1), 0.0
     for number, direction in enumerate(directions if strongest > 0 else ()):
         beam = Beam(direction, medium.shape, (lattice + shift_of(number)) % 1)
@@ -148,13 +150,14 @@ def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
         through, count = beam.leaving(rays)
         left[:_STOPPED] += share * through
         entered += strongest * share * count
-        score, u, v, w = (beam.back(values) * share for values in scores)
+        score, u, v, w = (beam.back(values) * np.float32(share) for values in scores)
         tallies[_SCORE] += score
         for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
             tallies[_POSITION][axis] += -place if backward else place
-        for axis in range(3):
-            tallies[_DIRECTION][axis] += direction[axis] * score
-    return _cast(medium, sigma_t, strongest, (tallies, None, left), None, entered)
+        for part, component in zip(tallies[_DIRECTION], direction, strict=False):
+            part += np.float32(component) * score
+    toward = directions[0] if alone else None
+    return _cast(medium, sigma_t, strongest, (tallies, None, left), toward, entered)
 
 
 def _sweep(device, beam, depth):
