@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How fast the physical lattice steps and solves, in one run, on every runtime.
 
-    python -m tests.benchmarks.speed [steps solves]
+    python -m tests.benchmarks.speed [steps sweeps solves]
 
 steps   million voxels a second of the paper's kernels, of ours, of ours without its collision (the
         roof), and of a plain copy, GB/s
+sweeps  seconds of a sun's sweep through a cloud, by itself and with what NumPy makes of it, and of
+        ten steps
 solves  seconds of whole solves of a cloud by stage, from 32 to 192 voxels along an edge
 """
 
@@ -18,12 +20,16 @@ import pyopencl as cl
 
 from lb_lighting.transport import Settings, Sun, device, solve
 from lb_lighting.transport.cells import GROUP, Cells
+from lb_lighting.transport.direct import cast
+from lb_lighting.transport.direct_opencl import OpenclSweep
 from lb_lighting.transport.lattice import collision_matrix
+from lb_lighting.transport.lights import rank_1
 from lb_lighting.transport.paper import boundary_inflow
 from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
 from lb_lighting.transport.solver import KERNELS
+from lb_lighting.transport.sweep import Beam
 from tests.benchmarks.kernels import cloud
 from tests.benchmarks.media import cloud as puffs
 from tests.benchmarks.media import of_depth
@@ -120,6 +126,23 @@ def _roof(found, buffers, size):
     return queue, {kernel.function_name: kernel for kernel in program.all_kernels()}, made
 
 
+def sweeps():
+    for found in device.devices():
+        if found.kind == "NumPy":
+            continue
+        for edge in EDGES:
+            medium = of_depth(puffs(edge), 20, 0.99, 0.85)
+            depth = medium.depth(medium.sigma_t[0])
+            sweep = OpenclSweep(found, Beam(SUN.direction, medium.shape, rank_1(9)), depth)
+            yield {
+                "platform": found.platform.split(",")[0],
+                "voxels": edge,
+                "sweep": fastest(sweep.run),
+                "whole": fastest(lambda m=medium, d=found: cast(m, SUN, 0, m.sigma_t[0], d, 3)),
+                "ten steps": 10 * edge**3 / our_speed(found, medium.shape) / 1e6,
+            }
+
+
 def solves():
     found = device.choose()
     for edge in SOLVED:
@@ -133,7 +156,7 @@ def solves():
         }
 
 
-PARTS = {"steps": steps, "solves": solves}
+PARTS = {"steps": steps, "sweeps": sweeps, "solves": solves}
 
 
 def main(parts):
