@@ -255,7 +255,7 @@ __kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
     f[m] = ARRIVED(m, back, cell, STEP(cx, cy, cz));                                       \
     f[back] = ARRIVED(back, m, cell, -STEP(cx, cy, cz));
 
-// Of the voxel that a work-item of the range (nz, ny, nx) stands for, in every so manieth layer;
+// Of the voxel that a work-item of the range (nz, ny, nx) stands for, in every n-th layer;
 // `origin` is the first's cell.
 #define LOOK_AT_VOXEL                                                                      \
     const size_t z = get_global_id(0), y = get_global_id(1), x = get_global_id(2);         \

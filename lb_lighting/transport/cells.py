@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the cells of a lattice lie in memory, and where its light leaves for good.
+"""The physical lattice's directions and their weights, and where its cells lie in memory.
 
 All cells lie one behind the other, z fastest, so that from each to its neighbour along a direction
 it is the same number of cells. Around the voxels there is a layer of cells for the vacuum outside:
@@ -14,6 +14,22 @@ from .lattice import DIRECTIONS
 
 MOVING = DIRECTIONS[1:]
 """(18, 3) int, c_m in voxels a step: six along the axes, then twelve diagonals."""
+
+LENGTHS = np.linalg.norm(MOVING, axis=1)
+"""(18,) voxels, l_m."""
+
+
+def _weights():
+    weights = np.where(LENGTHS == 1, 0.2 / 6, 0.8 / (12 * np.sqrt(2)))
+    return weights / weights.sum()
+
+
+WEIGHTS = _weights()
+"""(18,), w_m, the shares of isotropic light. In free flight it fills a voxel over l_m; w_m l_m has
+the moments of the sphere up to the fourth in direction."""
+
+MEAN_LENGTH = float(WEIGHTS @ LENGTHS)
+SECOND_MOMENT = float(WEIGHTS @ MOVING[:, 0] ** 2)
 
 OPPOSITE = np.array([np.flatnonzero((-c == MOVING).all(axis=1))[0] for c in MOVING])
 """(18,) int, the direction straight back."""

@@ -24,7 +24,7 @@ from .physical_numpy import NumpyLattice, Source
 _RAYS, _RAYS_AMONG_MANY, _MANY, _RAYS_OF_SKY = 6, 3, 48, 4
 _PHOTONS_A_VOXEL = 64
 _CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
-_CHECKED, _ALL_CHECKED = 4, 32  # every so manieth layer is looked at, where there are so many
+_CHECKED, _ALL_CHECKED = 4, 32  # every n-th layer is looked at, where there are so many
 _CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest

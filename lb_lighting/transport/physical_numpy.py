@@ -12,30 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cells import MOVING, OPPOSITE, THROUGH, Cells
-
-LENGTHS = np.linalg.norm(MOVING, axis=1)
-"""(18,) voxels, l_m."""
-
-
-def _weights():
-    weights = np.where(LENGTHS == 1, 0.2 / 6, 0.8 / (12 * np.sqrt(2)))
-    return weights / weights.sum()
-
-
-WEIGHTS = _weights()
-"""(18,), w_m, the shares of isotropic light. In free flight it fills a voxel over l_m; w_m l_m has
-the moments of the sphere up to the fourth in direction."""
-
-MEAN_LENGTH = float(WEIGHTS @ LENGTHS)
-SECOND_MOMENT = float(WEIGHTS @ MOVING[:, 0] ** 2)
-
-_EXTRAPOLATED = 2 / 3  # transport mean free paths outside where the fluence would be zero
-_OUTWARD = float(WEIGHTS[MOVING[:, 0] > 0].sum())
-_SLOPE = 6 * _EXTRAPOLATED * _OUTWARD / MEAN_LENGTH
-REFLECTED = (_SLOPE - 1) / (_SLOPE + 1)
-"""The share of light that leaves a scattering medium through an open face and comes back
-(negative: more is let out), which sets how far outside the fluence extrapolates to zero."""
+from .borders import mirrors
+from .cells import LENGTHS, MEAN_LENGTH, MOVING, OPPOSITE, SECOND_MOMENT, THROUGH, WEIGHTS, Cells
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
@@ -74,95 +52,6 @@ def rates(depth, albedo, g):
         even = 1 / (1 / second + np.minimum(first / 8, 0.5) + 0.5)
         absorbed = 1 / (1 / loss + 0.5)
     return even, odd, absorbed
-
-
-def returned(depth, albedo, g):
-    """(nx, ny, nz), the share of light leaving a voxel through an open face that comes back.
-
-    `REFLECTED` where the domain would be thick if it were filled with what the voxel holds, and
-    none where it is empty: what leaves there has scattered elsewhere.
-    """
-    with np.errstate(divide="ignore", over="ignore"):
-        return REFLECTED / (1 + 1 / (max(depth.shape) * depth * (1 - albedo * g)))
-
-
-def mirrors(depth, albedo, g, occlusion, cells):
-    """Where light that leaves comes back: (outside, {face: (cells, shares)}).
-
-    outside  (count,), the share in each cell outside of the domain, the mean of those of the voxels
-             whose light comes there; 0 inside
-    face     0 to 5 for -x, +x, -y, +y, -z, +z: in these empty cells the share of what came through
-             that face, an open one, goes back
-    """
-    share = cells.flat(returned(depth, albedo, g))
-    inside = cells.flat(np.ones(depth.shape))
-    arriving, sources = (
-        sum(np.roll(values, step) for step in cells.steps()) for values in (share, inside)
-    )
-    outside = np.where(inside > 0, 0, arriving / np.maximum(sources, 1))
-    faces, within = cells.flat(open_faces(depth, occlusion)), {}
-    for face, directions in enumerate(THROUGH):
-        ahead = cells.steps()[directions[0]]  # the first of them is along the axis
-        at = np.flatnonzero(np.roll(faces >> face & 1, ahead) * inside)
-        within[face] = at, share[at - ahead]
-    return outside, within
-
-
-def open_faces(depth, occlusion=None):
-    """(nx, ny, nz) uint8, the bits of the faces -x, +x, -y, +y, -z, +z of a voxel that are open.
-
-    That is where the medium ends in a plane, as it does at the domain's faces: the nine voxels
-    beyond are empty, and what leaves in any of the five directions through it meets nothing more.
-    """
-    clear = np.zeros(depth.shape) == (0 if occlusion is None else occlusion)
-    empty = clear & (depth == 0)
-    free = np.array([_is_free(empty, clear, c) for c in MOVING])
-    faces = np.zeros(depth.shape, np.uint8)
-    for face, directions in enumerate(THROUGH):
-        outward = MOVING[directions[0]]
-        nine = empty
-        for across in np.eye(3, dtype=int)[outward == 0]:
-            nine = nine & _at(nine, across, True) & _at(nine, -across, True)
-        ends = _at(nine, outward, True) & free[directions].all(axis=0) & ~empty
-        faces |= ends.astype(np.uint8) << face
-    return faces
-
-
-def _is_free(empty, clear, c):
-    """(nx, ny, nz), whether what leaves each voxel along c meets nothing more.
-
-    empty  whether voxels hold nothing
-    clear  whether they hold nothing opaque, which is met beside the way, too
-    """
-    free, reach = _at(empty, c, True), 1
-    for part in _parts(c):
-        free &= _at(clear, part, True)
-    while reach < max(empty.shape):
-        free &= _at(free, reach * c, True)
-        reach *= 2
-    return free
-
-
-def _parts(c):
-    """The steps along axes of which c is the sum."""
-    return [c * unit for unit in np.eye(3, dtype=int) if c @ unit]
-
-
-def _at(values, step, outside):
-    """(nx, ny, nz), the values of the voxels that lie a step from each."""
-    found = np.full_like(values, outside)
-    if np.all(np.abs(step) < values.shape):
-        here, there = _overlap(-step, values.shape)
-        found[here] = values[there]
-    return found
-
-
-def _overlap(c, shape):
-    """(here, upstream): the slices of the voxels that light along c reaches from another voxel,
-    and of those that it comes from."""
-    sizes = list(zip(c, shape, strict=True))
-    here = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
-    return here, tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)
 
 
 def _by_direction(depth):
@@ -248,7 +137,7 @@ class NumpyLattice:
         return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
     def fluence(self, every=1):
-        """(nx, ny, nz) W/m^2, of every so manieth layer along x; absorption times it is what the
+        """(nx, ny, nz) W/m^2, of every n-th layer along x; absorption times it is what the
         steps absorb."""
         passing = self._isotropic(self.light) + self.emitted / 2
         return self.cells.inside(np.sum(passing * self.lingered, axis=0))[::every]

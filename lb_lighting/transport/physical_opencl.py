@@ -4,9 +4,10 @@
 import numpy as np
 import pyopencl as cl
 
-from .cells import GROUP, Cells
+from .borders import REFLECTED, mirrors
+from .cells import GROUP, MEAN_LENGTH, SECOND_MOMENT, WEIGHTS, Cells
 from .device import context, program, queue
-from .physical_numpy import CROWDED, MEAN_LENGTH, REFLECTED, SECOND_MOMENT, WEIGHTS, mirrors
+from .physical_numpy import CROWDED
 
 _CONSTANTS = (
     f"GROUP={GROUP}",
@@ -95,7 +96,7 @@ class OpenCLLattice:
         self.queue.finish()
 
     def fluence(self, every=1):
-        """(nx, ny, nz) W/m^2, float32; of every so manieth layer along x."""
+        """(nx, ny, nz) W/m^2, float32; of every n-th layer along x."""
         nx, ny, nz = self.shape
         return self._read("read_fluence", (-(-nx // every), ny, nz), every)
 

@@ -6,17 +6,11 @@ absorbed, and where it ends at the domain's faces. The paper's equation 4 is in 
 import numpy as np
 import pytest
 
-from lb_lighting.transport import Medium, Settings, physical_numpy, solve
-from lb_lighting.transport.cells import MOVING
+from lb_lighting.transport import Medium, Settings, borders, solve
+from lb_lighting.transport.borders import returned
+from lb_lighting.transport.cells import LENGTHS, MEAN_LENGTH, MOVING, WEIGHTS
 from lb_lighting.transport.direct import fade
-from lb_lighting.transport.physical_numpy import (
-    LENGTHS,
-    MEAN_LENGTH,
-    WEIGHTS,
-    NumpyLattice,
-    Source,
-    returned,
-)
+from lb_lighting.transport.physical_numpy import NumpyLattice, Source
 
 UNIT = MOVING / LENGTHS[:, None]
 AXIS, FACE, CORNER, SKEW = (0, 0, 1), (1, 1, 0), (1, 1, 1), (1, 2, 0)
@@ -328,8 +322,8 @@ def test_a_white_slab_lets_through_what_is_exact(optical_depth, normal, diffuse)
 
 
 def test_milnes_length_would_let_too_much_through(monkeypatch):
-    slope = 6 * 0.7104 * physical_numpy._OUTWARD / MEAN_LENGTH
-    monkeypatch.setattr(physical_numpy, "REFLECTED", (slope - 1) / (slope + 1))
+    slope = 6 * 0.7104 * borders._OUTWARD / MEAN_LENGTH
+    monkeypatch.setattr(borders, "REFLECTED", (slope - 1) / (slope + 1))
     assert slab(16, 20, cosine=1.0)[1] / 0.078373 == pytest.approx(1.019, abs=0.001)
     assert diffuse_slab(16, 20)[1] / 0.062245 == pytest.approx(1.032, abs=0.001)
 

@@ -6,16 +6,9 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from lb_lighting.transport.physical_numpy import (
-    CROWDED,
-    LENGTHS,
-    MEAN_LENGTH,
-    REFLECTED,
-    WEIGHTS,
-    NumpyLattice,
-    Source,
-    open_faces,
-)
+from lb_lighting.transport.borders import REFLECTED, open_faces
+from lb_lighting.transport.cells import LENGTHS, MEAN_LENGTH, WEIGHTS
+from lb_lighting.transport.physical_numpy import CROWDED, NumpyLattice, Source
 from tests.tracing import OPENCL, name
 
 FLAT, SMALL, LONG, ODD = (1, 1, 64), (3, 3, 3), (512, 8, 8), (7, 31, 129)
