@@ -1,37 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The physical lattice. transport/physical_numpy.py is the twin and says what the quantities are,
-// transport/cells.py where they lie: cell by cell, and the light of direction m `stride` floats
-// behind that of m - 1, `guard` floats from the start.
+// cells.cl, which is built before this, where they lie.
 //
 // The light is stepped in place. Before a step the light that has arrived at a cell along m lies in
 // the cell, under m; or it is `swapped` and lies in the cell that it came from, under the opposite
 // direction. `step_here` reads the first and leaves the second, `step_there` the other way round:
 // in both, a cell writes to the places that it alone has read.
 //
-// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT and CROWDED.
-
-#define DIAGONAL 1.41421356f
-#define DIRECTIONS 18
-
-// Pairs of opposite directions: their numbers, the components of the first, its kind.
-#define FOR_EACH_AXIS(DO) DO(0, 1, 1, 0, 0) DO(2, 3, 0, 1, 0) DO(4, 5, 0, 0, 1)
-#define FOR_EACH_DIAGONAL(DO)                                                              \
-    DO(6, 9, 1, 1, 0)                                                                      \
-    DO(7, 8, 1, -1, 0)                                                                     \
-    DO(10, 13, 1, 0, 1)                                                                    \
-    DO(11, 12, 1, 0, -1)                                                                   \
-    DO(14, 17, 0, 1, 1)                                                                    \
-    DO(15, 16, 0, 1, -1)
-#define FOR_EACH_PAIR(DO) FOR_EACH_AXIS(DO) FOR_EACH_DIAGONAL(DO)
-
-// Cells from each to the next ones along z (1), y and x; floats from one direction's light to the
-// next one's, and before the first.
-#define GRID const ulong plane, const ulong row, const ulong stride, const ulong guard
-#define STEP(cx, cy, cz) ((cx)*plane + (cy)*row + (cz))
-
-// The light that has arrived at a cell along m, `step` cells from where it came.
-#define HERE(m, cell) light[(m)*stride + guard + (cell)]
-#define ARRIVED(m, back, cell, step) HERE(swapped ? (back) : (m), swapped ? (cell) - (step) : (cell))
+// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
+// CROWDED, and with GROUP.
 
 // Depths of voxels' edges; below zero outside of the domain, -1 - the share that comes back over
 // the most that may, REFLECTED.
@@ -120,12 +97,8 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
         FOR_EACH_DIAGONAL(COLLIDE)                                                         \
     }
 
-#define TAKE(m, back, cx, cy, cz)                                                          \
-    f[m] = HERE(m, cell);                                                                  \
-    f[back] = HERE(back, cell);
-#define LEAVE(m, back, step, ahead, behind)                                                \
-    HERE(back, cell) = ahead;                                                              \
-    HERE(m, cell) = behind;
+#define TAKE TAKE_HERE
+#define LEAVE LEAVE_HERE
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 step_here(GRID, MEDIUM, SOURCE, __global float *light)
 {
@@ -134,12 +107,8 @@ step_here(GRID, MEDIUM, SOURCE, __global float *light)
 
 #undef TAKE
 #undef LEAVE
-#define TAKE(m, back, cx, cy, cz)                                                          \
-    f[m] = HERE(back, cell - STEP(cx, cy, cz));                                            \
-    f[back] = HERE(m, cell + STEP(cx, cy, cz));
-#define LEAVE(m, back, step, ahead, behind)                                                \
-    HERE(m, cell + (step)) = ahead;                                                        \
-    HERE(back, cell - (step)) = behind;
+#define TAKE TAKE_THERE
+#define LEAVE LEAVE_THERE
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 step_there(GRID, MEDIUM, SOURCE, __global float *light)
 {

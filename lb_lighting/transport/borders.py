@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from .cells import MEAN_LENGTH, MOVING, THROUGH, WEIGHTS
+from .cells import MEAN_LENGTH, MOVING, THROUGH, WEIGHTS, parts
 
 _EXTRAPOLATED = 2 / 3  # transport mean free paths outside where the fluence would be zero
 _OUTWARD = float(WEIGHTS[MOVING[:, 0] > 0].sum())
@@ -31,15 +31,17 @@ def mirrors(depth, albedo, g, occlusion, cells):
     face     0 to 5 for -x, +x, -y, +y, -z, +z: in these empty cells the share of what came through
              that face, an open one, goes back
     """
-    share = cells.flat(returned(depth, albedo, g))
-    inside = cells.flat(np.ones(depth.shape))
+    share, inside = cells.flat(returned(depth, albedo, g)), cells.is_inside()
+    around = np.flatnonzero(~inside)
     arriving, sources = (
-        sum(np.roll(values, step) for step in cells.steps()) for values in (share, inside)
+        sum(values.take(around - step, mode="wrap") for step in cells.steps)
+        for values in (share, inside.astype(int))
     )
-    outside = np.where(inside > 0, 0, arriving / np.maximum(sources, 1))
+    outside = np.zeros(cells.count)
+    outside[around] = arriving / np.maximum(sources, 1)
     faces, within = cells.flat(open_faces(depth, occlusion)), {}
     for face, directions in enumerate(THROUGH):
-        ahead = cells.steps()[directions[0]]  # the first of them is along the axis
+        ahead = cells.steps[directions[0]]  # the first of them is along the axis
         at = np.flatnonzero(np.roll(faces >> face & 1, ahead) * inside)
         within[face] = at, share[at - ahead]
     return outside, within
@@ -72,7 +74,7 @@ def _is_free(empty, clear, c):
     clear  whether they hold nothing opaque, which is met beside the way, too
     """
     free, reach = _at(empty, c, True), 1
-    for part in _parts(c):
+    for part in parts(c):
         free &= _at(clear, part, True)
     while reach < max(empty.shape):
         free &= _at(free, reach * c, True)
@@ -80,23 +82,12 @@ def _is_free(empty, clear, c):
     return free
 
 
-def _parts(c):
-    """The steps along axes of which c is the sum."""
-    return [c * unit for unit in np.eye(3, dtype=int) if c @ unit]
-
-
 def _at(values, step, outside):
     """(nx, ny, nz), the values of the voxels that lie a step from each."""
     found = np.full_like(values, outside)
     if np.all(np.abs(step) < values.shape):
-        here, there = _overlap(-step, values.shape)
+        sizes = list(zip(step, values.shape, strict=True))
+        here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)
+        there = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
         found[here] = values[there]
     return found
-
-
-def _overlap(c, shape):
-    """(here, upstream): the slices of the voxels that light along c reaches from another voxel,
-    and of those that it comes from."""
-    sizes = list(zip(c, shape, strict=True))
-    here = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
-    return here, tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)

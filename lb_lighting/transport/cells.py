@@ -37,6 +37,12 @@ OPPOSITE = np.array([np.flatnonzero((-c == MOVING).all(axis=1))[0] for c in MOVI
 THROUGH = [np.flatnonzero(MOVING[:, axis] == side) for axis, side in product(range(3), (-1, 1))]
 """For each of the faces -x, +x, -y, +y, -z, +z, the five directions that lead out of it."""
 
+
+def parts(c):
+    """(1 or 2, 3) int, the steps along axes of which c is the sum."""
+    return np.diag(c)[c != 0]
+
+
 GROUP = 256
 """Cells that a work-group takes; their number is a multiple of it."""
 
@@ -49,10 +55,7 @@ class Cells:
         self.row, self.plane = nz + 2, (ny + 2) * (nz + 2)
         self.first = self.plane + self.row + 1  # the first voxel's
         self.count = -(-((nx + 2) * self.plane) // GROUP) * GROUP
-
-    def steps(self):
-        """(18,) int, cells from each to its neighbours along `MOVING`."""
-        return MOVING @ (self.plane, self.row, 1)
+        self.steps = MOVING @ (self.plane, self.row, 1)  # to each neighbour
 
     def is_inside(self):
         """(count,) bool, which cells are voxels of the domain."""

@@ -154,7 +154,7 @@ def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
         tallies[_SCORE] += score
         for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
             tallies[_POSITION][axis] += -place if backward else place
-        for part, component in zip(tallies[_DIRECTION], direction, strict=False):
+        for part, component in zip(tallies[_DIRECTION], direction, strict=False):  # none alone
             part += np.float32(component) * score
     toward = directions[0] if alone else None
     return _cast(medium, sigma_t, strongest, (tallies, None, left), toward, entered)

@@ -45,7 +45,7 @@ _PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of
 _RAYS_AT_ONCE = 2**18  # that a light makes
 # Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, where the domain
 # has few voxels along its edge. Where it has more, a single one matters less, and rays are many.
-_SUNS, _SUN_PER_EDGE, _FEW_VOXELS = 2.5, 2, 48
+_SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 
 
@@ -169,7 +169,7 @@ class Sky:
             towards = _even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
-        of_each = _SUN_PER_EDGE if max(medium.shape) <= _FEW_VOXELS else 1
+        of_each = _SUN_PER_EDGE if max(medium.shape) <= FEW_VOXELS else 1
         return -towards, irradiance / count, of_each
 
     def parts(self):

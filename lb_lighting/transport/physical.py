@@ -15,13 +15,13 @@ from ..errors import Cancelled, DeviceError, LightError, MediumError
 from . import device as devices
 from . import direct, photons
 from .field import Field, Report
-from .lights import Emission, Sky, by_band, face_areas, multiple
+from .lights import FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
 from .medium import repeated
 from .physical_numpy import NumpyLattice, Source
 
-# Rays along a voxel's edge, fewer where more than so many voxels share what single ones are off;
+# Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
 # those of a sky, and of a medium that shines, go in many directions.
-_RAYS, _RAYS_AMONG_MANY, _MANY, _RAYS_OF_SKY = 6, 3, 48, 4
+_RAYS, _RAYS_AMONG_MANY, _RAYS_OF_SKY = 6, 3, 4
 _PHOTONS_A_VOXEL = 64
 _CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
 _CHECKED, _ALL_CHECKED = 4, 32  # every n-th layer is looked at, where there are so many
@@ -340,7 +340,7 @@ class _Work:
         shadow = getattr(light, "shadow_density", None)
         if shadow is not None and shadowed:
             medium = medium.altered(density=shadow)
-        rays = _RAYS if max(medium.shape) <= _MANY else _RAYS_AMONG_MANY
+        rays = _RAYS if max(medium.shape) <= FEW_VOXELS else _RAYS_AMONG_MANY
         if isinstance(light, (Sky, Emission)):
             rays = _RAYS_OF_SKY
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel)

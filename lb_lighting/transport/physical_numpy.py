@@ -13,7 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from .borders import mirrors
-from .cells import LENGTHS, MEAN_LENGTH, MOVING, OPPOSITE, SECOND_MOMENT, THROUGH, WEIGHTS, Cells
+from .cells import (
+    LENGTHS,
+    MEAN_LENGTH,
+    MOVING,
+    OPPOSITE,
+    SECOND_MOMENT,
+    THROUGH,
+    WEIGHTS,
+    Cells,
+    parts,
+)
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
@@ -70,7 +80,7 @@ class NumpyLattice:
 
     def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
-        self.steps = self.cells.steps()
+        self.steps = self.cells.steps
         depth = np.asarray(depth, float)
         self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells)
         self.inside = self.cells.is_inside()
@@ -173,13 +183,13 @@ class _Occluders:
     """
 
     def __init__(self, cells, occlusion, albedo):
-        self.cells, self.steps = cells, cells.steps()
+        self.cells, self.steps = cells, cells.steps
         occlusion = np.asarray(occlusion, float)
-        inside, opaque = cells.flat(np.ones(cells.shape)), cells.flat(occlusion)
+        inside, opaque = cells.is_inside(), cells.flat(occlusion)
         reflecting = cells.flat(occlusion * albedo)
         self.passed, self.back = np.ones((18, cells.count)), np.zeros((18, cells.count))
         for m, (c, step) in enumerate(zip(MOVING, self.steps, strict=True)):
-            between = inside * np.roll(inside, step) > 0
+            between = inside & np.roll(inside, step)
             stopped, beside = self._beside(opaque, reflecting, c)
             self.passed[m] = np.where(between, (1 - stopped) * (1 - opaque), 1)
             self.back[m] = np.where(between, beside + (1 - stopped) * reflecting, 0)
@@ -195,9 +205,9 @@ class _Occluders:
         stop, and send back; none along axes."""
         if np.abs(c).sum() == 1:
             return np.zeros((2, self.cells.count))
-        parts = np.diag(c)[c != 0] @ (self.cells.plane, self.cells.row, 1)
+        steps = parts(c) @ (self.cells.plane, self.cells.row, 1)
         means = [
-            sum(np.roll(values, part) / 2 for part in parts) for values in (opaque, reflecting)
+            sum(np.roll(values, step) / 2 for step in steps) for values in (opaque, reflecting)
         ]
         return np.multiply(means, 1 + CROWDED * (1 - means[0]))
 

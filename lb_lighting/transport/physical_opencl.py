@@ -31,7 +31,7 @@ class OpenCLLattice:
     def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.context, self.queue = context(device), queue(device)
-        self.program = program(device, "lattice_physical.cl", _CONSTANTS)
+        self.program = program(device, ("cells.cl", "lattice_physical.cl"), _CONSTANTS)
         self.kernels = {kernel.function_name: kernel for kernel in self.program.all_kernels()}
         self.light = self._buffer(_state_size(self.cells))
         self.source = self._buffer(4 * self.cells.count)
@@ -140,7 +140,7 @@ class _Occluders:
     def __init__(self, lattice, occlusion, albedo):
         self.lattice, cells = lattice, lattice.cells
         opaque = cells.flat(np.asarray(occlusion, np.float32))
-        near = sum(np.roll(opaque > 0, step) for step in (0, *cells.steps())) > 0
+        near = sum(np.roll(opaque > 0, step) for step in (0, *cells.steps)) > 0
         self.at = np.flatnonzero(near & cells.is_inside()).astype(np.int32)
         albedo = cells.flat(np.broadcast_to(albedo, cells.shape).astype(np.float32))
         grids = [lattice._upload(values) for values in (opaque, albedo)]

@@ -13,6 +13,8 @@ from ..errors import Cancelled
 from .fade import fade
 
 NONE, U, V, U_THEN_V, V_THEN_U = range(5)
+# To the next voxel along u and v, one behind the other.
+_TURNS = ((), ((1, 0),), ((0, 1),), ((1, 0), (0, 1)), ((0, 1), (1, 0)))
 
 
 class Beam:
@@ -114,11 +116,9 @@ class NumpySweep:
         beam, columns = self.beam, way[:2].astype(int)
         begin = beam.beside - 1 - columns
         there = tuple(slice(a, a + n + 1) for a, n in zip(begin, (beam.nu, beam.nv), strict=True))
-        turns = {NONE: (), U: ((1, 0),), V: ((0, 1),), U_THEN_V: ((1, 0), (0, 1))}
-        turns[V_THEN_U] = ((0, 1), (1, 0))
         place, voxel = np.append(way[2:4], 0.0), np.zeros(2, int)
         step = np.array((beam.du, beam.dv, beam.dw))
-        for length, turn in zip(way[4:7], (*turns[int(way[7])], None), strict=False):
+        for length, turn in zip(way[4:7], (*_TURNS[int(way[7])], None), strict=False):
             at = tuple(slice(a, a + n + 1) for a, n in zip(voxel, (beam.nu, beam.nv), strict=True))
             rays[there] *= self._score(
                 rays[there], depth[at], length, place, step, tallies[(slice(None), *at)]

@@ -118,8 +118,8 @@ def copied(found, shape):
 def _roof(found, buffers, size):
     """(queue, {name: kernel} of roof.cl, buffers of so many bytes, filled)."""
     context, queue = device.context(found), device.queue(found)
-    source = (Path(__file__).parent / "roof.cl").read_text()
-    program = cl.Program(context, source).build([f"-DGROUP={GROUP}", "-cl-denorms-are-zero"])
+    roof_cl = str(Path(__file__).with_name("roof.cl"))
+    program = device.program(found, ("cells.cl", roof_cl), (f"GROUP={GROUP}",))
     made = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(buffers)]
     for buffer in made:
         cl.enqueue_fill_buffer(queue, buffer, np.float32(0), 0, size)

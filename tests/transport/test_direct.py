@@ -321,6 +321,5 @@ def test_swept_light_is_that_of_rays_followed_one_by_one(direction):
         difference = np.linalg.norm(swept[what] - followed[what])
         assert difference <= allowed * np.linalg.norm(followed[what]), what
     assert swept["left"] == pytest.approx(followed["left"], abs=2e-3 * followed["left"].sum())
-    assert accounted(cast(medium, sun, 0, 2.0, "NumPy", 3)) == pytest.approx(
-        cast(medium, sun, 0, 2.0, "NumPy", 3).entered, rel=1e-6
-    )
+    few = cast(medium, sun, 0, 2.0, "NumPy", 3)
+    assert accounted(few) == pytest.approx(few.entered, rel=1e-6)
