@@ -31,7 +31,7 @@
 #define EMITTED 7
 #define SUMS 8
 
-inline void add(volatile __global uint *tally, const size_t upper, const float weight)
+static void add(volatile __global uint *tally, const size_t upper, const float weight)
 {
     const int units = convert_int_rte(weight * UNIT);
     if (units == 0)
@@ -41,7 +41,7 @@ inline void add(volatile __global uint *tally, const size_t upper, const float w
         atomic_add(tally + upper, units > 0 ? 1u : 0xffffffffu);
 }
 
-inline void add_vector(volatile __global uint *tally, const size_t upper, const float weight,
+static void add_vector(volatile __global uint *tally, const size_t upper, const float weight,
                        const float x, const float y, const float z)
 {
     add(tally, upper, weight * x);
@@ -49,14 +49,14 @@ inline void add_vector(volatile __global uint *tally, const size_t upper, const 
     add(tally + 2, upper, weight * z);
 }
 
-inline long in_units(const float weight)
+static long in_units(const float weight)
 {
     return convert_long_rte(weight * UNIT);
 }
 
 // Where a ray is after a step along an axis; `rest` keeps what rounding lost (Kahan 1965), as a ray
 // that is nearly parallel to a border takes hundreds of steps to cross it.
-inline float moved(const float place, const float step, float *rest)
+static float moved(const float place, const float step, float *rest)
 {
     const float whole = step + *rest, next = place + whole;
     *rest = whole - (next - place);

@@ -10,7 +10,7 @@ typedef struct {
     float place;   // where on the way it collides, on average, from 0 to 1
 } Fade;
 
-inline Fade fade(const float t)
+static Fade fade(const float t)
 {
     Fade f;
     f.through = exp(-t);

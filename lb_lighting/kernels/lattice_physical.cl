@@ -24,25 +24,26 @@ typedef struct {
 } Rates;
 
 // Of light that crosses `length` of a voxel.
-inline Rates rates(const float length, const float depth, const float first, const float second,
+static Rates rates(const float length, const float depth, const float first, const float second,
                    const float loss)
 {
     const float crossed = length * depth;
     const float t = crossed * first, e = crossed * second, a = crossed * loss;
     const float third = 0.125f * t < 0.5f ? 0.125f * t : 0.5f; // not fmin: PoCL calls it
     Rates r;
-    r.odd = t / (1.0f + 0.5f * t);
+    const float over_t = 1.0f / (1.0f + 0.5f * t), over_a = 1.0f / (1.0f + 0.5f * a);
+    r.odd = t * over_t;
     r.even = e / (1.0f + e * (third + 0.5f));
-    r.absorbed = a / (1.0f + 0.5f * a);
-    r.drifted = length / (1.0f + 0.5f * t);
-    r.lingered = length / (1.0f + 0.5f * a);
+    r.absorbed = a * over_a;
+    r.drifted = length * over_t;
+    r.lingered = length * over_a;
     return r;
 }
 
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
 // The density that collisions lead to, of all light f, in isotropic light of weights w.
-inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
+static float isotropic(const float *f, const Rates axis, const Rates diagonal)
 {
     const float pull_axis = axis.even > 0.0f ? axis.even : 1.0f;
     const float pull_diagonal = axis.even > 0.0f ? diagonal.even : DIAGONAL;
@@ -55,11 +56,13 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
            (6 * W_AXIS * pull_axis + 12 * W_DIAGONAL * pull_diagonal);
 }
 
-// A cell's rates and its share of the source.
-#define LOOK                                                                               \
+// A cell's rates, and its share of the source.
+#define LOOK_AT_MEDIUM                                                                     \
     const float depth = depths[cell] < 0.0f ? 0.0f : depths[cell];                         \
     const Rates axis = rates(1.0f, depth, first, second, loss);                            \
-    const Rates diagonal = rates(DIAGONAL, depth, first, second, loss);                    \
+    const Rates diagonal = rates(DIAGONAL, depth, first, second, loss);
+#define LOOK                                                                               \
+    LOOK_AT_MEDIUM                                                                         \
     const float emitted = source[cell] / MEAN_LENGTH;                                      \
     const float gx = source[cells + cell], gy = source[2 * cells + cell],                  \
                 gz = source[3 * cells + cell];
@@ -71,14 +74,12 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
         const float even = 0.5f * (f[m] + f[back]), odd = 0.5f * (f[m] - f[back]);         \
         const float e = even - r.even * even + gained;                                     \
         const float o = odd - r.odd * odd + pushed * ((cx)*gx + (cy)*gy + (cz)*gz);        \
-        const float ahead = live * (e + o) + share * f[back];                              \
-        const float behind = live * (e - o) + share * f[m];                                \
+        const float ahead = live * (e + o) + share * f[back] + GIVEN(m);                   \
+        const float behind = live * (e - o) + share * f[m] + GIVEN(back);                  \
         LEAVE(m, back, STEP(cx, cy, cz), ahead, behind)                                    \
     }
 
 #define UPDATE                                                                             \
-    const size_t cell = get_global_id(0);                                                  \
-    LOOK                                                                                   \
     const float live = depths[cell] < 0.0f ? 0.0f : 1.0f;                                  \
     const float share = depths[cell] < 0.0f ? REFLECTED * (-1.0f - depths[cell]) : 0.0f;   \
     float f[DIRECTIONS];                                                                   \
@@ -97,22 +98,46 @@ inline float isotropic(const float *f, const Rates axis, const Rates diagonal)
         FOR_EACH_DIAGONAL(COLLIDE)                                                         \
     }
 
+// The two steps in place; those of the finest lattice take up the source, and those of coarser ones
+// what these are given in each direction.
+#define STEP_OF_SOURCE                                                                     \
+    const size_t cell = get_global_id(0);                                                  \
+    LOOK                                                                                   \
+    UPDATE
+#define STEP_OF_GIVEN                                                                      \
+    const size_t cell = get_global_id(0);                                                  \
+    LOOK_AT_MEDIUM                                                                         \
+    const float emitted = 0.0f, gx = 0.0f, gy = 0.0f, gz = 0.0f;                           \
+    UPDATE
+#define STEP_KERNEL __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+
 #define TAKE TAKE_HERE
 #define LEAVE LEAVE_HERE
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-step_here(GRID, MEDIUM, SOURCE, __global float *light)
+#define GIVEN(m) 0.0f
+STEP_KERNEL step_here(GRID, MEDIUM, SOURCE, __global float *light)
 {
-    UPDATE
+    STEP_OF_SOURCE
+}
+#undef GIVEN
+#define GIVEN(m) given[(m)*stride + guard + cell]
+STEP_KERNEL step_coarser_here(GRID, MEDIUM, __global const float *given, __global float *light)
+{
+    STEP_OF_GIVEN
 }
 
 #undef TAKE
 #undef LEAVE
 #define TAKE TAKE_THERE
 #define LEAVE LEAVE_THERE
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-step_there(GRID, MEDIUM, SOURCE, __global float *light)
+STEP_KERNEL step_coarser_there(GRID, MEDIUM, __global const float *given, __global float *light)
 {
-    UPDATE
+    STEP_OF_GIVEN
+}
+#undef GIVEN
+#define GIVEN(m) 0.0f
+STEP_KERNEL step_there(GRID, MEDIUM, SOURCE, __global float *light)
+{
+    STEP_OF_SOURCE
 }
 
 // --- What comes back where a medium ends within the domain -------------------------------------
@@ -289,7 +314,7 @@ __kernel void read_flux(GRID, __global const float *light, const int swapped, ME
 #define ADD_LEFT_PAIR(m, back, cx, cy, cz)                                                 \
     ADD_LEFT(m, back, cx, cy, cz) ADD_LEFT(back, m, -(cx), -(cy), -(cz))
 
-inline int at_end(const int c, const int place, const int count)
+static int at_end(const int c, const int place, const int count)
 {
     return c < 0 ? place == 0 : c > 0 && place == count - 1;
 }

@@ -73,18 +73,18 @@ typedef struct {
 #define TOLERATED 1.0001f // of a density over its bound: more than rounding explains
 #define SLOWEST 1e-18f // a direction's component closer to zero than this is taken for this
 
-inline float inverse(const float d)
+static float inverse(const float d)
 {
     return 1.0f / (d >= 0.0f ? fmax(d, SLOWEST) : fmin(d, -SLOWEST));
 }
 
 // Where a flight crosses the face at which cell `cell` ends in its direction.
-inline float crossing(const int cell, const int size, const float o, const float d, const float i)
+static float crossing(const int cell, const int size, const float o, const float d, const float i)
 {
     return ((float)((cell + (d >= 0.0f)) * size) - o) * i;
 }
 
-inline float constant_bound(const Path *p, const Grid g)
+static float constant_bound(const Path *p, const Grid g)
 {
 #if defined(WOODCOCK)
     return g.majorant;
@@ -96,13 +96,13 @@ inline float constant_bound(const Path *p, const Grid g)
 }
 
 // Density times length until the next particle.
-inline float next_depth(const Grid g, Random *random)
+static float next_depth(const Grid g, Random *random)
 {
     return -log(random_next(random)) * g.per_depth;
 }
 
 // A new path: number `n` of `count` rays, whose origins and directions lie component by component.
-inline void enter(Path *p, const Grid g, __global const float *rays, const int count, const int n)
+static void enter(Path *p, const Grid g, __global const float *rays, const int count, const int n)
 {
     p->ox = rays[n];
     p->oy = rays[count + n];
@@ -117,7 +117,7 @@ inline void enter(Path *p, const Grid g, __global const float *rays, const int c
 }
 
 // A new flight from (ox, oy, oz), in the path's super-voxel, along (dx, dy, dz).
-inline void start_flight(Path *p, const Grid g, Random *random)
+static void start_flight(Path *p, const Grid g, Random *random)
 {
     p->ix = inverse(p->dx);
     p->iy = inverse(p->dy);
@@ -136,7 +136,7 @@ inline void start_flight(Path *p, const Grid g, Random *random)
 }
 
 // The next super-voxel; 0 where there is none.
-inline int cross_face(Path *p, const Grid g)
+static int cross_face(Path *p, const Grid g)
 {
     const int along_x = p->tx <= fmin(p->ty, p->tz);
     const int along_y = !along_x & (p->ty <= p->tz);
@@ -155,7 +155,7 @@ inline int cross_face(Path *p, const Grid g)
 }
 
 // The fine cell of a coordinate; never one outside the super-voxel, whose bound must hold there.
-inline int fine_cell(const float x, const int cell, const int size, const int n)
+static int fine_cell(const float x, const int cell, const int size, const int n)
 {
 #ifdef WOODCOCK
     return clamp((int)x, 0, n - 1);
@@ -165,7 +165,7 @@ inline int fine_cell(const float x, const int cell, const int size, const int n)
 }
 
 // Whether the density where the flight has come to is over `threshold`; `bound` is for the check.
-inline int denser(Path *p, const Grid g, const float threshold, const float bound)
+static int denser(Path *p, const Grid g, const float threshold, const float bound)
 {
     const float x = p->ox + p->t * p->dx, y = p->oy + p->t * p->dy, z = p->oz + p->t * p->dz;
 #ifdef PERLIN_MEDIUM
@@ -202,18 +202,18 @@ typedef struct {
     float half_c1, third_c2, quarter_c3;
 } Cubic;
 
-inline float cubic_value(const Cubic c, const float s)
+static float cubic_value(const Cubic c, const float s)
 {
     return c.c0 + s * (c.c1 + s * (c.c2 + s * c.c3));
 }
 
-inline float cubic_integral(const Cubic c, const float s)
+static float cubic_integral(const Cubic c, const float s)
 {
     return s * (c.c0 + s * (c.half_c1 + s * (c.third_c2 + s * c.quarter_c3)));
 }
 
 // The eight coefficients of [1, x, y, z, xy, yz, zx, xyz] in this super-voxel.
-inline void coefficients(const Path *p, const Grid g, float *a)
+static void coefficients(const Path *p, const Grid g, float *a)
 {
 #ifdef RAY_MARCH
     // A super-voxel is a fine cell here, and the bound the density itself.
@@ -234,7 +234,7 @@ inline void coefficients(const Path *p, const Grid g, float *a)
 #endif
 }
 
-inline Cubic bound_ahead(const Path *p, const Grid g)
+static Cubic bound_ahead(const Path *p, const Grid g)
 {
     float a[8];
     coefficients(p, g, a);
@@ -259,7 +259,7 @@ inline Cubic bound_ahead(const Path *p, const Grid g)
 
 // Where the integral of a cubic that is nowhere negative reaches `depth`, in [0, length]: Newton's
 // method in a bracket, which is halved where a step would leave it, down to what float32 resolves.
-inline float cubic_solve(const Cubic c, const float depth, const float length, const float whole)
+static float cubic_solve(const Cubic c, const float depth, const float length, const float whole)
 {
     float low = 0.0f, high = length;
     float s = length * (depth / whole);
@@ -277,7 +277,7 @@ inline float cubic_solve(const Cubic c, const float depth, const float length, c
 #endif
 
 // Follow the flight to its next event; they are listed above.
-inline int advance(Path *p, const Grid g, Random *random)
+static int advance(Path *p, const Grid g, Random *random)
 {
 #ifdef WOODCOCK
     const float next = p->end;

@@ -39,12 +39,12 @@
 #define COLLISIONS 11
 #define SUMS 12
 
-inline long in_units(const float weight)
+static long in_units(const float weight)
 {
     return (long)(int)(weight * UNIT + 0.5f);
 }
 
-inline void add(__global uint *tally, const size_t upper, const float weight)
+static void add(__global uint *tally, const size_t upper, const float weight)
 {
     const uint units = (uint)(int)(weight * UNIT + 0.5f);
     const uint before = atomic_add(tally, units);
@@ -52,7 +52,7 @@ inline void add(__global uint *tally, const size_t upper, const float weight)
         atomic_inc(tally + upper);
 }
 
-inline void add_vector(__global uint *tally, const size_t upper, const float weight,
+static void add_vector(__global uint *tally, const size_t upper, const float weight,
                        const float x, const float y, const float z)
 {
     add(tally, upper, weight * (0.5f * x + 0.5f));
@@ -78,7 +78,7 @@ typedef struct {
     }
 
 // The voxel where a flight is at `t`, and its place from the voxel's lower corner.
-inline size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, float *y, float *z)
+static size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, float *y, float *z)
 {
     *x = (p->ox + t * p->dx - v.lower) * v.per_cell;
     *y = (p->oy + t * p->dy - v.lower) * v.per_cell;
@@ -93,7 +93,7 @@ inline size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, 
 }
 
 // Score a flight, up to where it has come, at the points that are due; when the next one is.
-inline float score(const Path *p, const Tallies v, float at, const float spacing,
+static float score(const Path *p, const Tallies v, float at, const float spacing,
                    const float weight, const int turned, __global uint *direct,
                    __global uint *scattered)
 {
@@ -116,7 +116,7 @@ inline float score(const Path *p, const Tallies v, float at, const float spacing
     return at;
 }
 
-inline void hand_over(const Path *p, const Tallies v, const float weight, __global uint *handed)
+static void hand_over(const Path *p, const Tallies v, const float weight, __global uint *handed)
 {
     float x, y, z;
     const size_t voxel = voxel_at(p, v, p->t, &x, &y, &z);
@@ -129,7 +129,7 @@ inline void hand_over(const Path *p, const Tallies v, const float weight, __glob
 }
 
 // Turn (dx, dy, dz) by a Henyey-Greenstein angle (Henyey and Greenstein 1941) and start anew.
-inline void scatter(Path *p, const Grid g, Random *random, const float mean_cosine)
+static void scatter(Path *p, const Grid g, Random *random, const float mean_cosine)
 {
     const float even = 2.0f * random_next(random) - 1.0f;
     const float ratio = (1.0f - mean_cosine * mean_cosine) / (1.0f + mean_cosine * even);
@@ -170,7 +170,7 @@ typedef struct {
 } Place;
 
 #ifdef OCCLUSION
-inline Place place_of(const Path *p, const Grid g)
+static Place place_of(const Path *p, const Grid g)
 {
     return (Place){clamp((int)p->ox, 0, g.nx - 1), clamp((int)p->oy, 0, g.ny - 1),
                    clamp((int)p->oz, 0, g.nz - 1), 0, 0};
@@ -178,7 +178,7 @@ inline Place place_of(const Path *p, const Grid g)
 
 // Follow a flight from voxel to voxel up to where it has come, and cut it at the first face that
 // stops it; whether one does.
-inline int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
+static int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
                 Place *at)
 {
     for (;;) {
@@ -209,7 +209,7 @@ inline int stop(Path *p, const Grid g, Random *random, __global const float *occ
 }
 
 // Send a stopped flight back, by the cosine about the face's normal (Lambert), and start anew.
-inline void reflect(Path *p, const Grid g, Random *random, const Place at)
+static void reflect(Path *p, const Grid g, Random *random, const Place at)
 {
     const float squared = random_next(random);
     const float back = sqrt(squared), aside = sqrt(1.0f - squared);
@@ -241,24 +241,24 @@ inline void reflect(Path *p, const Grid g, Random *random, const Place at)
     start_flight(p, g, random);
 }
 #else
-inline Place place_of(const Path *p, const Grid g)
+static Place place_of(const Path *p, const Grid g)
 {
     return (Place){0, 0, 0, 0, 0};
 }
 
-inline int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
+static int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
                 Place *at)
 {
     return 0;
 }
 
-inline void reflect(Path *p, const Grid g, Random *random, const Place at)
+static void reflect(Path *p, const Grid g, Random *random, const Place at)
 {
 }
 #endif
 
 // The face through which a flight leaves, in the order of LEFT_THROUGH.
-inline int face(const Path *p, const Grid g)
+static int face(const Path *p, const Grid g)
 {
     const float x = ((p->dx >= 0.0f ? g.upper_x : g.lower) - p->ox) * p->ix;
     const float y = ((p->dy >= 0.0f ? g.upper_y : g.lower) - p->oy) * p->iy;

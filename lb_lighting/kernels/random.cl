@@ -6,7 +6,7 @@ typedef struct {
 } Random;
 
 // The finalizer of MurmurHash3: every bit of the result depends on every bit of `h`.
-inline uint mix_bits(uint h)
+static uint mix_bits(uint h)
 {
     h ^= h >> 16;
     h *= 0x85ebca6bu;
@@ -16,7 +16,7 @@ inline uint mix_bits(uint h)
 }
 
 // The stream of ray `index` under `seed`.
-inline Random random_stream(const uint seed, const uint index)
+static Random random_stream(const uint seed, const uint index)
 {
     Random r;
     r.a = mix_bits(index + 0x9e3779b9u * seed);
@@ -27,7 +27,7 @@ inline Random random_stream(const uint seed, const uint index)
 }
 
 // Uniform in (0, 1), one of 2^23 values: neither end is among them, so log() is finite.
-inline float random_next(Random *r)
+static float random_next(Random *r)
 {
     const uint bits = rotate(r->a + r->d, 7u) + r->a;
     const uint t = r->b << 9;

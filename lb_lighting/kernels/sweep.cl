@@ -21,7 +21,7 @@
 #define LOOK                                                                               \
     __global const float *depths = all_depths + first_depth, *ways = all_ways + first_way;
 
-inline float depth_at(__global const float *depths, const int nu, const int nv, const int u,
+static float depth_at(__global const float *depths, const int nu, const int nv, const int u,
                       const int v)
 {
     return u < 0 || v < 0 || u >= nu || v >= nv ? 0.0f : depths[u * nv + v];
@@ -35,7 +35,7 @@ typedef struct {
 } Tally;
 
 // Of light that comes with `weight` to a place in a voxel of this depth, and goes some way in it.
-inline Tally crossed(const float weight, const float depth, const float way, const float u,
+static Tally crossed(const float weight, const float depth, const float way, const float u,
                      const float v, const float w, const float du, const float dv, const float dw)
 {
     const Fade f = fade(depth * way);

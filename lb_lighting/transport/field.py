@@ -17,6 +17,7 @@ class Report:
     model     which model solved it
     device    the device that ran, as shown to the user
     steps     lattice steps taken
+    corrections  how often coarser lattices were asked for help
     residual  of the lattice's light, relative (L2), the largest of the bands: the error that
               stopping leaves, as estimated; in the paper's model its change in the last step
     seconds   {stage: seconds}
@@ -32,6 +33,7 @@ class Report:
     model: str
     device: str
     steps: int = 0
+    corrections: int = 0
     residual: float = 0.0
     seconds: dict = field(default_factory=dict)
     bytes: int = 0

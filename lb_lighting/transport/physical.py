@@ -15,18 +15,16 @@ from ..errors import Cancelled, DeviceError, LightError, MediumError
 from . import device as devices
 from . import direct, photons
 from .field import Field, Report
+from .levels import Level
 from .lights import FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
 from .medium import repeated
 from .physical_numpy import NumpyLattice, Source
+from .settle import settle
 
 # Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
 # those of a sky, and of a medium that shines, go in many directions.
 _RAYS, _RAYS_AMONG_MANY, _RAYS_OF_SKY = 6, 3, 4
 _PHOTONS_A_VOXEL = 64
-_CHECK_EVERY = 8  # steps between two estimates of the error, and two looks at `cancel`
-_CHECKED, _ALL_CHECKED = 4, 32  # every n-th layer is looked at, where there are so many
-_CHECKS = 3  # estimates of how fast changes shrink that are kept: the slowest counts
-_NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
 _MOST_SHIFTS = 64  # times that light is radiated again: each time it is less
 _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
@@ -209,6 +207,7 @@ class _Band:
     energy: dict
     residual: float = 0.0
     steps: int = 0
+    corrections: int = 0
 
     @classmethod
     def dark(cls, shape, lights):
@@ -419,10 +418,15 @@ class _Work:
             return
         depth = medium.depth(medium.sigma_t[band])
         transport_depth = depth * (1 - medium.albedo[band] * medium.g[band])
-        lattice = self._lattice(medium, band, depth)
+        optics = (medium.albedo[band], medium.g[band])
+        opaque = (medium.occlusion, medium.occlusion_albedo[band])
+        level = Level(self._lattice, depth, *optics, *opaque)
+        lattice = level.lattice
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
         lattice.start(handover.source(transport_depth, scale))
-        lit.residual, lit.steps = self._converge(lattice)
+        lit.residual, lit.steps, lit.corrections = settle(
+            level, self.settings.tolerance, self.settings.most_steps, self._tell_error
+        )
         fluence = lattice.fluence().astype(float)
         lit.fluence += scale * fluence
         # The lattice starts light at a voxel's centre, and moves it to where it collided first.
@@ -433,40 +437,19 @@ class _Work:
         absorbed = np.sum(medium.depth(medium.sigma_a[band]) * fluence)
         lit.energy["absorbed"] += watts * (absorbed + stopped)
 
-    def _lattice(self, medium, band, depth):
-        arguments = (depth, medium.albedo[band], medium.g[band])
-        arguments += (medium.occlusion, medium.occlusion_albedo[band])
+    def _lattice(self, *medium):
         if self.device.kind == "NumPy":
-            return NumpyLattice(*arguments)
+            return NumpyLattice(*medium)
         from .physical_opencl import OpenCLLattice  # only now: it needs pyopencl
 
-        return OpenCLLattice(*arguments, self.device)
+        return OpenCLLattice(*medium, self.device)
 
-    def _converge(self, lattice):
-        """Step until the light is within the tolerance of what it tends to: (error, steps).
-
-        Changes shrink by a factor q from one check to the next, so that all that are still to
-        come add up to q / (1 - q) of the last.
-        """
-        tolerance, most = self.settings.tolerance, self.settings.most_steps
-        every = 1 if lattice.shape[0] < _ALL_CHECKED else _CHECKED
-        light, change, shrinking, error, steps = 0.0, None, [], 1.0, 0
-        while steps < most and error > tolerance:
-            if self.cancel is not None and self.cancel():
-                raise Cancelled("Cancelled; nothing was changed.")
-            lattice.advance(min(_CHECK_EVERY, most - steps))
-            steps = min(steps + _CHECK_EVERY, most)
-            before, light = light, lattice.fluence(every)
-            norm = float(np.linalg.norm(light))
-            last, change = change, float(np.linalg.norm(light - before)) / (norm or 1.0)
-            if last is not None:
-                shrinking = [*shrinking[1 - _CHECKS :], min(change / last if last else 0, _NEVER)]
-            if len(shrinking) == _CHECKS:
-                slowest = max(shrinking)
-                error = min(1.0, change * slowest / (1 - slowest))
-            reached = np.log(max(error, tolerance)) / np.log(tolerance)
-            self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))
-        return error, steps
+    def _tell_error(self, error):
+        if self.cancel is not None and self.cancel():
+            raise Cancelled("Cancelled; nothing was changed.")
+        tolerance = self.settings.tolerance
+        reached = np.log(max(error, tolerance)) / np.log(tolerance)
+        self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))
 
 
 def _distinct(medium, lights):
@@ -562,4 +545,5 @@ def _take(field, lit, numbers, band, factor):
     for where, power in lit.energy.items():
         report.energy[where][band] += factor * power
     report.steps = max(report.steps, lit.steps)
+    report.corrections = max(report.corrections, lit.corrections)
     report.residual = max(report.residual, lit.residual)

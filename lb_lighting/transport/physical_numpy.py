@@ -89,10 +89,9 @@ class NumpyLattice:
             self.occluders = _Occluders(self.cells, occlusion, occlusion_albedo)
         depth = self.cells.flat(depth)
         self.even, self.odd, self.absorbed = rates(depth, albedo, g)
+        self.transport_depth = depth * (1 - albedo * g)
         # Over the depth of a voxel, which leaves a number in empty ones.
-        self.drifted = _by_direction(1.0)[:, None] / (
-            1 + _by_direction(depth * (1 - albedo * g)) / 2
-        )
+        self.drifted = _by_direction(1.0)[:, None] / (1 + _by_direction(self.transport_depth) / 2)
         self.lingered = _by_direction(1.0)[:, None] / (1 + _by_direction(depth * (1 - albedo)) / 2)
         # The weights of isotropic light: what collides, or in empty voxels the length of flight.
         pull = np.where(self.even[0] > 0, self.even, LENGTHS[:, None])
@@ -110,12 +109,24 @@ class NumpyLattice:
 
     def start(self, source):
         """Dark, with a `Source`."""
-        power, drift = self.cells.flat(source.power), self.cells.flat(source.drift)
+        power = self.cells.flat(source.power)
         self.emitted = np.multiply.outer(WEIGHTS * LENGTHS / MEAN_LENGTH, power)
-        self.drift = WEIGHTS[:, None] / SECOND_MOMENT * self.drifted * (MOVING @ drift)
+        self.drift = self._drift(self.cells.flat(source.drift))
+        self.given = self.emitted * (1 - self.absorbed / 2) + self.drift
         if self.occluders is not None:
             self.occluders.start(source.reflected)
         self.light = np.zeros((18, self.cells.count))
+
+    def start_as_coarser(self):
+        """Dark, and to be given what finer lattices `hand_down`."""
+        self.given = np.zeros((18, self.cells.count))
+        if self.occluders is not None:
+            self.occluders.start(None)
+        self.light = np.zeros((18, self.cells.count))
+
+    def _drift(self, drift):
+        """(18, count) of (3, count)."""
+        return WEIGHTS[:, None] / SECOND_MOMENT * self.drifted * (MOVING @ drift)
 
     def advance(self, steps):
         """Take so many steps."""
@@ -127,8 +138,7 @@ class NumpyLattice:
         even, odd = (f + f[OPPOSITE]) / 2, (f - f[OPPOSITE]) / 2
         isotropic = self._isotropic(f)
         even -= self.even * (even - isotropic) + self.absorbed * isotropic
-        even += self.emitted * (1 - self.absorbed / 2)
-        out = even + odd * (1 - self.odd) + self.drift
+        out = even + odd * (1 - self.odd) + self.given
         out = np.where(self.inside, out, self.outside * f[OPPOSITE])
         for face, (at, share) in self.within.items():
             for m in THROUGH[face]:
@@ -141,6 +151,36 @@ class NumpyLattice:
         """(18, count): what arrives of what flows on."""
         arrived = np.array([np.roll(f, step) for f, step in zip(out, self.steps, strict=True)])
         return arrived if self.occluders is None else self.occluders.met(arrived)
+
+    def hand_down(self, coarser, factor):
+        """Give a lattice of half the resolution a factor times the light that flowed on last.
+
+        The odd part carries light on by (1 / s + 1 / 2) voxels' lengths, s the transport depth of
+        one, before it is forgotten: by as far on both.
+        """
+        out = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
+        out = self.cells.inside(np.array(out))
+        even, odd = (out + out[OPPOSITE]) / 2, (out - out[OPPOSITE]) / 2
+        power = out.sum(axis=0)
+        place = np.array([power * (n % 2 - 0.5) for n in np.indices(self.shape)]) / 2
+        even, odd, place = map(sum_of_eight, (even, odd * self._flow(), place))
+        cells = coarser.cells
+        drift = coarser._drift(cells.flat(place / 4) * coarser.transport_depth)
+        given = (even + odd / coarser._flow()) / 4 + cells.inside(drift)
+        cells.inside(coarser.given)[...] += factor * given
+
+    def take_up(self, coarser, factor):
+        """Add a factor times the light of a lattice of half the resolution."""
+        light = coarser.cells.inside(coarser.light)
+        even, odd = (light + light[OPPOSITE]) / 2, (light - light[OPPOSITE]) / 2
+        even, odd = (_doubled(part, self.shape) for part in (even, odd))
+        # By the flow of the voxel that each lies in: next to it there may be far thinner ones.
+        odd *= self._flow() / _repeated(coarser._flow(), self.shape)
+        self.cells.inside(self.light)[...] += factor * (even + odd)
+
+    def _flow(self):
+        """(18, nx, ny, nz), the odd part over that of the light that flows through a voxel."""
+        return 1 + _by_direction(self.cells.inside(self.transport_depth)) / 2
 
     def _isotropic(self, f):
         """(18, count): the light spread evenly that collisions lead to."""
@@ -169,6 +209,30 @@ class NumpyLattice:
                 left[2 * axis + (c[axis] > 0)] += gone[border].sum()
                 gone[border] = 0
         return left, 0.0 if self.occluders is None else self.occluders.stopped
+
+
+def sum_of_eight(values):
+    """(..., nx/2, ny/2, nz/2, rounded up) of (..., nx, ny, nz)."""
+    for axis in (-3, -2, -1):
+        values = np.add.reduceat(values, range(0, values.shape[axis], 2), axis)
+    return values
+
+
+def _repeated(values, shape):
+    """Of the voxels of twice the size that voxels lie in."""
+    for axis, n in zip((-3, -2, -1), shape, strict=True):
+        values = values.take(np.arange(n) // 2, axis)
+    return values
+
+
+def _doubled(values, shape):
+    """Values at the centres of voxels, between those of voxels of twice the size."""
+    for axis, n in zip((-3, -2, -1), shape, strict=True):
+        here = np.arange(n)
+        near = here // 2
+        far = np.clip(near + here % 2 * 2 - 1, 0, values.shape[axis] - 1)
+        values = 0.75 * values.take(near, axis) + 0.25 * values.take(far, axis)
+    return values
 
 
 class _Occluders:

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The physical lattice on an OpenCL device, in float32; physical_numpy.py is the twin."""
 
+from math import prod
+
 import numpy as np
 import pyopencl as cl
 
 from .borders import REFLECTED, mirrors
 from .cells import GROUP, MEAN_LENGTH, SECOND_MOMENT, WEIGHTS, Cells
 from .device import context, program, queue
+from .levels import shapes
 from .physical_numpy import CROWDED
 
+_SOURCES = ("cells.cl", "lattice_physical.cl", "lattice_levels.cl")
+
+_SLAB = 8  # planes of a coarser lattice that are exchanged at a time
 _CONSTANTS = (
     f"GROUP={GROUP}",
     *(
@@ -31,11 +37,10 @@ class OpenCLLattice:
     def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.context, self.queue = context(device), queue(device)
-        self.program = program(device, ("cells.cl", "lattice_physical.cl"), _CONSTANTS)
+        self.program = program(device, _SOURCES, _CONSTANTS)
         self.kernels = {kernel.function_name: kernel for kernel in self.program.all_kernels()}
         self.light = self._buffer(_state_size(self.cells))
-        self.source = self._buffer(4 * self.cells.count)
-        self.swapped = np.int32(0)
+        self.swapped, self.kind = np.int32(0), None
 
         cells = self.cells
         outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells)
@@ -44,6 +49,7 @@ class OpenCLLattice:
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
         grid = (cells.plane, cells.row, _stride(cells), cells.first)
         self.grid = [np.uint64(n) for n in grid]
+        self.origin = np.uint64(cells.first)
         self.medium = [self.depths, *map(np.float32, factors)]
         self.mirrors = self._mirrors(within)
         self.occluders = None
@@ -61,30 +67,48 @@ class OpenCLLattice:
 
     @staticmethod
     def buffers(shape, occluded):
-        """{what: bytes} of device memory for a lattice of this shape, but for its flat faces."""
-        cells, voxels = Cells(shape), 4 * int(np.prod(shape))
-        plan = {"light": 4 * _state_size(cells), "optical depth": 4 * cells.count}
+        """{what: bytes} of device memory for a lattice of this shape and all coarser ones, but for
+        flat faces."""
+        cells, voxels = Cells(shape), 4 * prod(shape)
+        own = 4 + 6 * 4 * occluded  # bytes a cell, of what there is of the medium
+        plan = {"light": 4 * _state_size(cells), "medium": own * cells.count}
         plan |= {"source": 16 * cells.count, "fluence": voxels, "flux": 3 * voxels}
-        if occluded:
-            plan |= {"occluders": 6 * 4 * cells.count}
+        for coarser in shapes(shape):
+            cells = Cells(coarser)
+            plan["coarser lattices"] = plan.get("coarser lattices", 0) + (
+                8 * _state_size(cells) + own * cells.count + 4 * _parts_size(coarser)
+            )
         return plan
 
     def start(self, source):
         """Dark, with a `Source`."""
-        # The guards too: what lies there is read.
-        cl.enqueue_fill_buffer(self.queue, self.light, np.float32(0), 0, self.light.size)
-        self.swapped = np.int32(0)
         given = np.concatenate([source.power[None], source.drift]).astype(np.float32)
-        cl.enqueue_copy(self.queue, self.source, self.cells.flat(given))
+        self.source = [self._upload(self.cells.flat(given)), np.uint64(self.cells.count)]
+        self.kind = "step"
         if self.occluders is not None:
             self.occluders.start(source.reflected)
+        self._darken(self.light)
+
+    def start_as_coarser(self):
+        """Dark, and to be given what finer lattices `hand_down`."""
+        if self.kind is None:
+            self.kind, self.source = "step_coarser", [self._buffer(_state_size(self.cells))]
+            self.parts = self._buffer(_parts_size(self.shape))
+        self._darken(*self.source)
+        if self.occluders is not None:
+            self.occluders.start(None)
+        self._darken(self.light)
+
+    def _darken(self, buffer):
+        # The guards too: what lies there is read.
+        cl.enqueue_fill_buffer(self.queue, buffer, np.float32(0), 0, buffer.size)
+        self.swapped = np.int32(0)
 
     def advance(self, steps):
-        """Take so many steps, and wait for them."""
-        cells = np.uint64(self.cells.count)
+        """Take so many steps."""
         for _ in range(steps):
-            kernel = self.kernels["step_there" if self.swapped else "step_here"]
-            arguments = (*self.grid, *self.medium, self.source, cells, self.light)
+            kernel = self.kernels[f"{self.kind}_there" if self.swapped else f"{self.kind}_here"]
+            arguments = (*self.grid, *self.medium, *self.source, self.light)
             kernel(self.queue, (self.cells.count,), (GROUP,), *arguments)
             self.swapped = np.int32(not self.swapped)
             count, mirrors_of = self.mirrors
@@ -93,7 +117,39 @@ class OpenCLLattice:
                 self.kernels["mirror"](self.queue, (count,), None, *arguments)
             if self.occluders is not None:
                 self.occluders.meet()
-        self.queue.finish()
+
+    def hand_down(self, coarser, factor):
+        """As the twin's."""
+        (_, ny, nz), (given, parts) = coarser.shape, (coarser.source[0], coarser.parts)
+        across = (*self.grid, self.light, self.swapped, self.depths, self.origin, self.medium[1])
+        down = (*coarser.grid, coarser.depths, coarser.origin, self.medium[1])
+        depth = np.uint64(self.shape[2])
+        for begin, planes in coarser._slabs():
+            self._run("sum_across", (self.shape[2], ny, planes), *across, begin, parts)
+            rest = (begin, depth, parts, np.float32(factor), given)
+            self._run("hand_down", (nz, ny, planes), *down, *rest)
+
+    def take_up(self, coarser, factor):
+        """As the twin's."""
+        (nx, ny, nz), parts = coarser.shape, coarser.parts
+        above = (*coarser.grid, coarser.light, coarser.swapped, coarser.origin)
+        here = (*self.grid, self.light, self.swapped, self.depths, self.origin, self.medium[1])
+        over = (coarser.depths, *coarser.grid[:2], coarser.origin, np.uint64(ny))
+        depth = self.shape[2]
+        for begin, planes in coarser._slabs():
+            rest = (begin, np.uint64(nx), np.uint64(nz), parts)
+            self._run("interpolate", (depth, ny, planes + 2), *above, *rest)
+            rest = (begin, *over, np.uint64(planes + 2), parts, np.float32(factor))
+            layers = min(2 * planes, self.shape[0] - 2 * int(begin))
+            self._run("take_up", (depth, self.shape[1], layers), *here, *rest)
+
+    def _slabs(self):
+        """[(first plane, planes)] that light goes down to and up from at a time."""
+        nx = self.shape[0]
+        return [(np.uint64(x), min(_SLAB, nx - x)) for x in range(0, nx, _SLAB)]
+
+    def _run(self, kernel, items, *arguments):
+        self.kernels[kernel](self.queue, items, None, *arguments)
 
     def fluence(self, every=1):
         """(nx, ny, nz) W/m^2, float32; of every n-th layer along x."""
@@ -110,7 +166,7 @@ class OpenCLLattice:
         left = np.empty((6, nz), np.float32)
         buffer = self._buffer(left.size)
         arguments = (*self.grid, self.light, self.swapped, self.depths)
-        arguments += (np.uint64(self.cells.first), np.int32(nx), np.int32(ny), buffer)
+        arguments += (self.origin, np.int32(nx), np.int32(ny), buffer)
         self.kernels["read_left"](self.queue, (nz,), None, *arguments)
         cl.enqueue_copy(self.queue, left, buffer)
         stopped = 0.0 if self.occluders is None else self.occluders.stopped()
@@ -119,8 +175,7 @@ class OpenCLLattice:
     def _read(self, kernel, shape, every=1):
         values = np.empty(shape, np.float32)
         buffer = self._buffer(values.size)
-        arguments = (*self.grid, self.light, self.swapped, *self.medium, self.source)
-        arguments += (np.uint64(self.cells.count), np.uint64(self.cells.first))
+        arguments = (*self.grid, self.light, self.swapped, *self.medium, *self.source, self.origin)
         items = shape[-3:][::-1]
         self.kernels[kernel](self.queue, items, None, *arguments, np.uint64(every), buffer)
         cl.enqueue_copy(self.queue, values, buffer)
@@ -151,9 +206,12 @@ class _Occluders:
 
     def start(self, reflected):
         """reflected is that of a `Source`."""
-        none = np.zeros(self.lattice.shape)
-        values = self.lattice.cells.flat(none if reflected is None else reflected)
-        cl.enqueue_copy(self.lattice.queue, self.reflected, values.astype(np.float32))
+        lattice, into = self.lattice, self.reflected
+        if reflected is None:
+            cl.enqueue_fill_buffer(lattice.queue, into, np.float32(0), 0, into.size)
+        else:
+            values = lattice.cells.flat(reflected).astype(np.float32)
+            cl.enqueue_copy(lattice.queue, into, values)
 
     def meet(self):
         """What the light of the last step meets on its way."""
@@ -186,3 +244,9 @@ def _stride(cells):
 
 def _state_size(cells):
     return 18 * _stride(cells) + cells.first
+
+
+def _parts_size(shape):
+    """Floats of what is kept on the way between a coarser lattice of this shape and the next."""
+    _, ny, nz = shape
+    return ny * 2 * nz * max(21 * _SLAB, 18 * (_SLAB + 2))

@@ -246,7 +246,7 @@ def test_extremes(case):
     depth, albedo, g, power, device, shape, light = case
     occluded = CASES.index(case) % 3 == 0
     medium = extreme_medium(depth, albedo, g, shape, power, light, occluded)
-    capped = Settings(divide=1, most_steps=32)
+    capped = Settings(divide=1, most_steps=64)
     fields = [solve(medium, lamp(light, power, shape), capped, device) for _ in range(2)]
     for field in fields:
         assert_physical(field)
