@@ -3,6 +3,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 
 import bpy
 import numpy as np
@@ -10,10 +11,12 @@ import openvdb
 
 from ..errors import SceneError
 
-BATCH = 1 << 18  # triangles or samples handled at once: enough for NumPy, little enough memory
+BATCH = 1 << 19  # triangles handled at once: many with the same number of samples, little memory
+CACHED, SAMPLES = 1 << 13, 1 << 15  # triangles, and samples, that the processor's cache holds
 LARGE = 8  # voxels: triangles with longer edges are halved first, to drop what lies outside
-SAMPLES_PER_VOXEL = 3  # along an edge
-SAMPLES_OF_WALLS = 12  # so that no hole is taken for one
+SAMPLES_PER_VOXEL = 4  # along a line
+SAMPLES_OF_WALLS = 32  # so that no hole is taken for one
+GOLDEN = (1 + 5**0.5) / 2
 # Level sets in lattices this many times finer than the domain. A hole is closed once a voxel is
 # larger than it, so the coarse ones are for meshes that are not quite tight.
 REFINEMENTS = (2, 1, 1 / 2, 1 / 4)
@@ -95,12 +98,12 @@ def world_bounds(parts):
 
 def area_of(triangles):
     """m^2, of one side of triangles (n, 3, 3)."""
-    return _areas(triangles).sum()
+    return _areas(triangles.T).sum()
 
 
 def longest_edge(triangles):
     """m, of triangles (n, 3, 3)."""
-    return np.linalg.norm(_edges(triangles), axis=-1).max()
+    return _lengths(_edges(triangles.T)).max()
 
 
 def surface_area(triangles, domain, weight=None, samples=SAMPLES_PER_VOXEL):
@@ -108,25 +111,21 @@ def surface_area(triangles, domain, weight=None, samples=SAMPLES_PER_VOXEL):
 
     triangles  (n, 3, 3) m, world space
     weight     (n,), factor on the area of each triangle, or None for 1
-    samples    along an edge as long as a voxel
-    Each triangle is sampled at the centres of equal parts that are small beside a voxel. What lies
-    outside of the domain is dropped.
+    samples    along a line as long as a voxel
+    Each triangle is sampled at points that fill it evenly, close beside a voxel, and that share
+    its area. What lies outside of the domain is dropped.
     """
-    corners = domain.to_index(triangles) + 0.5  # voxel (i, j, k) spans i..i+1
-    weight = np.ones(len(corners)) if weight is None else weight
-    area = np.zeros(np.prod(domain.shape))
-    pending = _batches(BATCH, corners, weight)
+    weight = np.ones(len(triangles)) if weight is None else weight
+    area = np.zeros(np.add(domain.shape, 2))  # a layer around the lattice takes what lies outside
+    pending = _batches(BATCH, triangles, weight)
     while pending:
         batch, factor = pending.pop()
-        near = _touches(batch, domain.shape)
-        batch, factor = batch[near], factor[near]
-        longest = np.linalg.norm(_edges(batch), axis=-1).max(axis=1, initial=0)
-        large = longest > LARGE
+        near, edge, size = _measured(batch, domain)
+        large, small = near & (edge > LARGE), near & (edge <= LARGE)
         pending += _batches(BATCH, _halves(batch[large]), np.tile(factor[large], 2))
-        parts = np.ceil(longest * samples).astype(int)
-        for n in np.unique(parts[~large]):
-            _add_area(area, batch[parts == n], factor[parts == n], max(1, n), domain.shape)
-    return area.reshape(domain.shape) * domain.voxel_size**2
+        count = _sample_counts(edge[small], size[small], samples)
+        _add_areas(area, batch[small], (size * factor)[small], count, domain)
+    return area[1:-1, 1:-1, 1:-1] * domain.voxel_size**2
 
 
 def foliage_density(part, domain, direction=None):
@@ -187,7 +186,7 @@ def solid_fraction(triangles, domain):
 
 def _enclosed_fraction(triangles, domain):
     """What `solid_fraction` returns, or None where the surface encloses nothing."""
-    if not np.any(_touches(domain.to_index(triangles) + 0.5, domain.shape)):
+    if not np.any(_touches(_corners(triangles, domain), domain.shape)):
         return np.zeros(domain.shape, np.float32)
     # Reaching only half of the volume that the faces claim means that a part has leaked.
     least = _enclosed_volume(triangles) / 2 if _lies_in(triangles, domain) else 0
@@ -229,7 +228,7 @@ def _closed(points, corners):
     length = np.linalg.norm(points[rims[:, 0]] - points[rims[:, 1]], axis=1)
     around = np.bincount(rim[rims[:, 0]], length, len(points))
     holes = np.bincount(piece, around**2 / (4 * np.pi), len(points))
-    area = np.bincount(piece[corners[:, 0]], _areas(points[corners]), len(points))
+    area = np.bincount(piece[corners[:, 0]], _areas(points[corners].T), len(points))
     return (holes < OPEN * area)[piece[corners[:, 0]]]
 
 
@@ -254,7 +253,7 @@ def _read(collection, attribute, dtype, width):
 
 def _placed(triangles, matrices, ob):
     """`triangles` (n, 3, 3) of `ob` once for each of the `matrices` (k, 4, 4): (k n, 3, 3)."""
-    rotated = np.einsum("kij,nj->kni", matrices[:, :3, :3], triangles.reshape(-1, 3))
+    rotated = triangles.reshape(-1, 3) @ matrices[:, :3, :3].swapaxes(1, 2)
     placed = (rotated + matrices[:, None, :3, 3]).reshape(-1, 3, 3)
     if not np.all(np.isfinite(placed)):
         raise SceneError(f"'{ob.name}' has vertices that are not finite; repair or delete them.")
@@ -266,64 +265,133 @@ def _batches(size, *arrays):
     return [tuple(a[i : i + size] for a in arrays) for i in range(0, len(arrays[0]), size)]
 
 
-def _touches(triangles, shape):
-    """(n,) bool: does the bounding box meet the lattice?"""
-    lower, upper = triangles.min(axis=1), triangles.max(axis=1)
-    return np.all((upper >= 0) & (lower <= shape), axis=-1)
+def _corners(triangles, domain):
+    """Triangles (n, 3, 3) m in voxels, as (3, 3, n): coordinate, corner, triangle.
+
+    So NumPy runs along triangles. Voxel (i, j, k) spans i to i + 1.
+    """
+    corners = np.ascontiguousarray(triangles.T) - np.reshape(domain.origin, (3, 1, 1))
+    corners /= domain.voxel_size
+    return corners
 
 
-def _edges(triangles):
-    """(n, 3, 3): edge k runs from corner k to the next."""
-    return np.roll(triangles, -1, axis=1) - triangles
+def _touches(corners, shape):
+    """(n,) bool: does the bounding box of `_corners` meet the lattice?"""
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    return np.all((upper >= 0) & (lower <= np.reshape(shape, (3, 1))), axis=0)
 
 
-def _areas(triangles):
+def _edges(corners):
+    """(3, 3, n): edge k of `_corners` runs from corner k to the next."""
+    return np.roll(corners, -1, axis=1) - corners
+
+
+def _lengths(vectors):
+    """(...), of vectors (3, ...), in their unit."""
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _across(corners):
+    """(3, n): the vectors across `_corners`, twice as long as the triangles have area."""
+    edges = _edges(corners)
+    return np.cross(edges[:, 0], edges[:, 1], axis=0)
+
+
+def _areas(corners):
     """(n,), in the square of their unit."""
-    edges = _edges(triangles)
-    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1) / 2
+    return _lengths(_across(corners)) / 2
 
 
 def _normals(triangles):
-    """(n, 3) unit vectors across the triangles; 0 for those without area."""
-    edges = _edges(triangles)
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    """(n, 3) unit vectors across the triangles (n, 3, 3); 0 for those without area."""
+    across = _across(triangles.T)
+    length = _lengths(across)
+    return np.divide(across, length, out=np.zeros_like(across), where=length > 0).T
+
+
+def _measured(triangles, domain):
+    """(near, edge, size), each (n,), of triangles (n, 3, 3) m.
+
+    near  bool, whether it may meet the lattice
+    edge  voxels, the longest
+    size  squared voxels, the area
+    """
+    near, edge, size = np.empty(len(triangles), bool), *np.empty((2, len(triangles)))
+    for some, own_near, own_edge, own_size in _batches(CACHED, triangles, near, edge, size):
+        corners = _corners(some, domain)
+        own_near[:] = _touches(corners, domain.shape)
+        own_edge[:] = _lengths(_edges(corners)).max(axis=0)
+        own_size[:] = _areas(corners)
+    return near, edge, size
 
 
 def _halves(triangles):
     """(2 n, 3, 3): each triangle cut from the middle of its longest edge to the corner opposite."""
-    longest = np.linalg.norm(_edges(triangles), axis=-1).argmax(axis=1)
+    longest = _lengths(_edges(triangles.T)).argmax(axis=0)
     corner = (longest[:, None] + np.arange(3)) % 3
     a, b, c = np.moveaxis(np.take_along_axis(triangles, corner[..., None], axis=1), 1, 0)
     middle = (a + b) / 2
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def _add_area(area, triangles, weight, n, shape):
-    """Add the area of triangles, in squared voxels, times `weight` to the flat lattice `area`.
+def _sample_counts(edge, size, samples):
+    """(n,), of triangles with these longest edges, voxels, and areas, squared voxels.
 
-    n  parts that each edge is divided in; a sample stands for 1/n^2 of the triangle
+    That is about how many squares they touch of which `samples` fit along a voxel.
     """
-    share = _areas(triangles) * weight / n**2
-    weights = _part_centers(n)
-    size = max(1, BATCH // len(weights))
-    for some, value in _batches(size, triangles, share):
-        voxel = np.floor(weights @ some).astype(np.int32).reshape(-1, 3)
-        value = value.repeat(len(weights))
-        inside = np.all((voxel >= 0) & (voxel < shape), axis=-1)
-        flat = np.ravel_multi_index(tuple(voxel[inside].T), shape)
-        np.add.at(area, flat, value[inside])
+    # Rounded up to five binary digits, so that many triangles have the same.
+    touched = np.ceil(samples**2 * size + samples * edge)
+    fraction, exponent = np.frexp(np.maximum(1, touched))
+    return np.ldexp(np.ceil(32 * fraction), exponent - 5).astype(np.int64)
 
 
-def _part_centers(n):
-    """(n^2, 3): barycentric centres of the equal triangles that a triangle is divided in."""
-    i, j = np.divmod(np.arange(n * n), n)
-    upright = i + j < n
-    # The parts that stand on their head fill the other half of the square, mirrored.
-    u = np.where(upright, i + 1 / 3, n - i - 1 / 3)
-    v = np.where(upright, j + 1 / 3, n - j - 1 / 3)
-    return np.stack([u, v, n - u - v], axis=-1) / n
+def _add_areas(area, triangles, value, count, domain):
+    """Add `value` (n,), squared voxels, of triangles (n, 3, 3) m to `area` at `count` (n,) points.
+
+    area  (nx + 2, ny + 2, nz + 2), the lattice with a layer around it
+    """
+    # Those with as many points together, and along x, so that the cache holds their voxels.
+    x = (triangles[:, 0, 0] - domain.origin[0]) / domain.voxel_size
+    order = np.argsort(count * area.shape[0] + x.clip(0, domain.shape[0]).astype(np.int64))
+    triangles, share, count = triangles.take(order, axis=0), (value / count)[order], count[order]
+    starts = np.flatnonzero(np.diff(count, prepend=0))
+    for start, stop in pairwise([*starts, len(count)]):
+        points = _points_within(count[start])
+        size = max(1, SAMPLES // count[start])
+        for some, each in _batches(size, triangles[start:stop], share[start:stop]):
+            _add_samples(area, _corners(some, domain), points, each)
+
+
+def _points_within(count):
+    """(3, count): barycentric coordinates of points that fill a triangle evenly.
+
+    A Fibonacci lattice stays even however a triangle stretches it (H. Niederreiter, Random Number
+    Generation and Quasi-Monte Carlo Methods, 1992, on Kronecker sequences). Its rows have equal
+    areas, and become longer away from the first corner; its mean is the triangle's centre.
+    """
+    edges = np.arange(count + 1) / count
+    length = 2 / 3 * count * np.diff(edges**1.5)  # of a row at its centre of mass
+    along = (0.5 + np.arange(count) / GOLDEN) % 1
+    along = np.clip(along + 0.5 - length @ along / length.sum(), 0, 1)
+    return np.stack([1 - length, length * (1 - along), length * along])
+
+
+def _add_samples(area, corners, points, share):
+    """Add the `share` (n,) of each of the `points` (3, k) within triangles to `area`.
+
+    area     (nx + 2, ny + 2, nz + 2), the lattice with a layer around it
+    corners  (3, 3, n), see `_corners`
+    """
+    # From the first corner on, so that a face along the lattice stays on its side of the voxels.
+    edges = corners[:, 1:] - corners[:, :1]
+    voxel = np.floor(edges.swapaxes(1, 2) @ points[1:] + corners[:, 0, :, None])  # (3, n, k)
+    inner = np.reshape(area.shape, (3, 1, 1)) - 2
+    if corners.min() < 0 or np.any(corners >= inner):
+        voxel = voxel.clip(-1, inner)
+    strides = np.divide(area.strides, area.itemsize)
+    flat = (strides @ voxel.reshape(3, -1) + strides.sum()).astype(np.intp)
+    np.add.at(area.reshape(-1), flat, share.repeat(points.shape[1]))
 
 
 def _enclosed_volume(triangles):
@@ -348,7 +416,7 @@ def _inside(triangles, domain):
 
     It is right on average even for twigs, of which `_level_set_fraction` makes branches.
     """
-    if not len(triangles) or not np.any(_touches(domain.to_index(triangles) + 0.5, domain.shape)):
+    if not len(triangles) or not np.any(_touches(_corners(triangles, domain), domain.shape)):
         return np.zeros(domain.shape)
     return _refitted(_distances(triangles, domain, 2) < LEAKED, 2, domain.shape)
 

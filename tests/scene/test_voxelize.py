@@ -74,6 +74,32 @@ def area_of(triangles):
     return np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2
 
 
+def clipped_area(triangle, domain):
+    """(nx, ny, nz) m^2: the area of a triangle (3, 3) m in each voxel, cut at the voxels' faces."""
+    area = np.zeros(domain.shape)
+    for voxel in np.ndindex(domain.shape):
+        lower = np.add(domain.origin, np.multiply(voxel, domain.voxel_size))
+        polygon = triangle
+        for axis in range(3):
+            polygon = halfspace(polygon, axis, lower[axis], 1)
+            polygon = halfspace(polygon, axis, lower[axis] + domain.voxel_size, -1)
+        fan = [(polygon[0], *polygon[i : i + 2]) for i in range(1, len(polygon) - 1)]
+        area[voxel] = area_of(np.array(fan)) if fan else 0
+    return area
+
+
+def halfspace(polygon, axis, limit, sign):
+    """The part of a convex polygon (n, 3) with sign * (coordinate - limit) of 0 or more."""
+    kept = []
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        here, there = (sign * (point[axis] - limit) for point in (start, end))
+        if here >= 0:
+            kept.append(start)
+        if here * there < 0:
+            kept.append(start + (end - start) * here / (here - there))
+    return np.array(kept).reshape(-1, 3)
+
+
 def volume_of(triangles):
     a, b, c = np.moveaxis(triangles, 1, 0)
     return np.einsum("ni,ni->", a, np.cross(b, c)) / 6
@@ -309,6 +335,42 @@ class TestSurfaceArea:
         each = [area_of(triangle[None]) for triangle in triangles]
         assert area.sum() == pytest.approx(weight @ each, rel=1e-3)
 
+    def test_each_voxel_has_what_exact_clipping_gives_it(self):
+        """Of triangles smaller and larger than a voxel, some of them across the border."""
+        triangles = (
+            np.random.default_rng(3).uniform(-1, 1, (40, 3, 3))
+            * np.repeat([0.5, 4], 20)[:, None, None]
+        )
+        domain = Domain((-3.5, -2.5, -4.5), 1.0, (7, 5, 9))
+        exact = sum(clipped_area(triangle, domain) for triangle in triangles)
+        found = voxelize.surface_area(triangles, domain)
+        assert found.shape == domain.shape
+        assert np.linalg.norm(found - exact) < 0.08 * np.linalg.norm(exact)
+        finer = voxelize.surface_area(triangles, domain, samples=32)
+        assert np.linalg.norm(finer - exact) < 0.005 * np.linalg.norm(exact)
+
+    def test_the_same_triangles_give_the_same_bits(self):
+        triangles = np.random.default_rng(4).uniform(0, 1, (5000, 3, 3))
+        domain = domain_of(triangles, 17)
+        first, second = (voxelize.surface_area(triangles, domain) for _ in range(2))
+        assert np.array_equal(first, second)
+
+    def test_on_the_border_of_the_domain(self):
+        """A face between two voxels belongs to the upper one, which may lie outside."""
+        domain = Domain((0, 0, 0), 1.0, (4, 3, 5))
+        face = np.array([[0, 0, 0], [4, 0, 0], [0, 3, 0]], float)
+        assert voxelize.surface_area(face[None], domain)[:, :, 0].sum() == pytest.approx(6)
+        assert voxelize.surface_area(face[None] + (0, 0, 2), domain)[
+            :, :, 2
+        ].sum() == pytest.approx(6)
+        assert not voxelize.surface_area(face[None] + (0, 0, 5), domain).any()
+
+    @pytest.mark.filterwarnings("error")
+    def test_triangles_without_area(self):
+        point, line = np.full((3, 3), 1.5), np.outer([0, 1, 3], [1, 1, 1])
+        domain = Domain((0, 0, 0), 1.0, (4, 4, 4))
+        assert not voxelize.surface_area(np.stack([point, line, 9 * line]), domain).any()
+
     def test_a_million_triangles_in_seconds(self):
         random = np.random.default_rng(1)
         triangles = random.uniform(0, 1, (1_000_000, 1, 3)) + random.normal(
@@ -319,6 +381,16 @@ class TestSurfaceArea:
         area = voxelize.surface_area(triangles, domain)
         assert time.perf_counter() - start < 30
         assert area.sum() == pytest.approx(area_of(triangles), rel=1e-3)
+
+
+class TestPointsWithin:
+    @pytest.mark.parametrize("count", [1, 2, 3, 18, 100, 1023])
+    def test_fill_the_triangle_about_its_centre(self, count):
+        points = voxelize._points_within(count)
+        assert points.shape == (3, count)
+        assert points.min() >= 0
+        assert points.sum(axis=0) == pytest.approx(1)
+        assert points.mean(axis=1) == pytest.approx(1 / 3, abs=1e-3)
 
 
 class TestClosed:
