@@ -252,13 +252,13 @@ def _openvdb():
 
 def _grids(domain, density, colors):
     """All that `write_vdb` writes as OpenVDB grids, sparse where there is nothing to light."""
-    near = _near(np.asarray(density) > 0, MARGIN)
+    near = _near(np.asarray(density) > 0, MARGIN)[..., None].repeat(3, axis=-1)
     grids = [_grid(DENSITY_GRID, domain, np.asarray(density, np.float32), 0)]
     grids[0].gridClass = _openvdb().GridClass.FOG_VOLUME
     for name, values in colors.items():
-        values = np.pad(values, [(0, 0)] + [(MARGIN, MARGIN)] * 3, mode="edge")
-        values = np.moveaxis(np.where(near, values, 0), 0, -1)
-        values = np.broadcast_to(values, (*values.shape[:3], 3))
+        values = np.moveaxis(np.broadcast_to(values, (3, *domain.shape)), 0, -1)
+        values = np.pad(values, [(MARGIN, MARGIN)] * 3 + [(0, 0)], mode="edge")
+        values *= near
         grids.append(_grid(name, domain, values, MARGIN))
     return grids
 
