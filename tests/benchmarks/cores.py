@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much faster a step of the lattice is on all cores than on one, on every runtime of processors.
+"""How much faster a step of the lattice is on all cores than on one, on every CPU runtime.
 
     python -m tests.benchmarks.cores
 
-Prints for 128^3 voxels millions of voxels a second on one core, on all, and their ratio; beside it
-the same of the roof of speed.py, which moves as much and computes nothing. Writes
-build/bench/cores.json. A process of its own is kept to one core before its runtime starts; it and one
-that may use all take turns of a few steps, and the fastest turns count, when nothing else runs if
-such a time comes.
+Prints for 128^3 voxels millions of voxels a second on one core, on all, and their ratio; writes
+build/bench/cores.json. A process of its own is kept to one core before its runtime starts; it and
+one that may use all take turns of a few steps, and the fastest turns count, when nothing else runs
+if such a time comes.
 """
 
-import json
 import os
 import subprocess
 import sys
-from time import perf_counter
-
-import numpy as np
+from math import inf
 
 from tests.benchmarks import quiet
 from tests.benchmarks.table import publish
@@ -30,38 +26,29 @@ class Worker:
     def __init__(self, runtime, cores):
         command = [sys.executable, "-m", "tests.benchmarks.cores", runtime, *map(str, cores)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self.process, self.best = subprocess.Popen(command, **pipes), np.inf
+        self.process, self.fastest = subprocess.Popen(command, **pipes), inf
 
     def turn(self):
         quiet.wait(3)
         print(file=self.process.stdin, flush=True)
-        seconds = json.loads(self.process.stdout.readline())
-        self.best = np.minimum(self.best, seconds)
+        self.fastest = min(self.fastest, float(self.process.stdout.readline()))
 
-    def speeds(self):
-        """Millions of voxels a second of the lattice and of the roof."""
+    def close(self):
+        """Millions of voxels a second."""
         self.process.stdin.close()
         self.process.wait()
-        return EDGE**3 * STEPS / self.best / 1e6
+        return EDGE**3 * STEPS / self.fastest / 1e6
 
 
 def work(runtime, *cores):
-    """Take a turn for each line that comes in, and print the seconds of both."""
+    """Take a turn for each line that comes in, and print its seconds."""
     os.sched_setaffinity(0, map(int, cores))  # before the runtime counts them
     from lb_lighting.transport import device
-    from tests.benchmarks.speed import lattice_steps, roof_steps
+    from tests.benchmarks.lbmpy_step import Ours
 
-    found = device.choose(runtime)
-    runs = [make(found, (EDGE,) * 3) for make in (lattice_steps, roof_steps)]
+    ours = Ours(device.choose(runtime), EDGE)
     for _ in sys.stdin:
-        print(json.dumps([_seconds(run) for run in runs]), flush=True)
-
-
-def _seconds(run):
-    run(2)
-    begin = perf_counter()
-    run(STEPS)
-    return perf_counter() - begin
+        print(ours.seconds(STEPS), flush=True)
 
 
 def runtimes():
@@ -78,16 +65,13 @@ def rows():
         for _ in range(TURNS):
             one.turn()
             all_cores.turn()
-        (slow, slow_roof), (fast, fast_roof) = one.speeds(), all_cores.speeds()
+        slow, fast = one.close(), all_cores.close()
         yield {
             "runtime": runtime,
             "cores": len(cores),
             "on one": slow,
             "on all": fast,
             "ratio": fast / slow,
-            "roof, on one": slow_roof,
-            "roof, on all": fast_roof,
-            "roof's ratio": fast_roof / slow_roof,
         }
 
 

@@ -8,8 +8,9 @@ ratio, and which of lbmpy's it is; writes build/bench/lbmpy_step.json. lbmpy's s
 and compiled first, by the machine's C++ compiler, and tried; then the fastest and ours run in turn,
 a few steps each, and the fastest turn of each counts, when nothing else runs if such a time comes.
 
-What a step reads and writes is not the same: 152 B a cell by lbmpy, 164 B by ours, of which 20 B are
-the medium and its source, and each of our cells has rates of its own where lbmpy's fluid has one.
+What a step reads and writes is not the same: 152 B a cell by lbmpy, 164 B by ours, of which 20 B
+are the medium and its source; and each of our cells has rates of its own, where all of lbmpy's
+fluid has one.
 """
 
 import json
@@ -29,7 +30,7 @@ from tests.benchmarks.table import publish
 from tests.setup import peers
 
 EDGES = (64, 128)
-TRIALS, TURNS = 3, 12
+TRIALS, TURNS = 4, 30
 CELLS = 2**23  # that a turn updates
 
 

@@ -32,7 +32,7 @@ def subsets(*names):
 
 
 def programs():
-    """(files, defines) of what the extension builds; of the photons' tallies the least and the most."""
+    """(files, defines) of what the extension builds; of photons' tallies the least and the most."""
     yield PHYSICAL
     yield ("fade.cl", "sweep.cl"), ()
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):

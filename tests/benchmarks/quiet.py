@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Waiting for the other processes of a shared machine, so that both of a pair have all its cores."""
+"""Waiting for the other processes of a shared machine, so that both of a pair have all cores."""
 
 import os
 from time import monotonic, sleep
