@@ -253,15 +253,24 @@ def _cast(medium, sigma_t, unit, scores, toward, entered):
     tallies, reflected, sums = scores
     h, depth = medium.voxel_size, medium.depth(sigma_t)
     score = tallies[_SCORE]
-    directed = toward[:, None, None, None] * score if toward is not None else tallies[_DIRECTION]
     shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, depth)
-    moments = (colliding * score, (colliding * h) * tallies[_POSITION], colliding * directed)
-    collided = Moments(*(v.astype(np.float32) for v in moments))
-    direct, flux = ((shining * v).astype(np.float32) for v in (score, directed))
+    if toward is None:
+        along, flowing = (_product(of, tallies[_DIRECTION]) for of in (colliding, shining))
+    else:
+        toward = np.reshape(toward, (3, 1, 1, 1))
+        along, flowing = (_product(toward, of * score) for of in (colliding, shining))
+    place = _product(colliding * h, tallies[_POSITION])
+    collided = Moments(_product(colliding, score), place, along)
     if reflected is not None:
         reflected = (unit * reflected.astype(float)).astype(np.float32)
     left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
-    return Cast(direct, flux, collided, reflected, left, stopped, entered)
+    return Cast(_product(shining, score), flowing, collided, reflected, left, stopped, entered)
+
+
+def _product(factor, values):
+    """float32, but in between float64: neither of the two need fit into the other."""
+    out = np.empty(np.broadcast_shapes(factor.shape, values.shape), np.float32)
+    return np.multiply(factor, values, out=out, dtype=float, casting="same_kind")
 
 
 class NumpyMarch:

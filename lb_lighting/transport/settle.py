@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 _LOOK_EVERY = 8  # steps between two looks
-_LAYERS, _FEW_LAYERS = 4, 48  # every n-th layer is looked at, where there are so many
+_LAYERS, _FEW = 16, 48  # that are looked at, but all where there are few: a look costs half a step
 _RATES = 3  # rates of shrinking that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _FAR = 60  # steps still to come from which on a correction, which costs some 20, is worth it
@@ -30,7 +30,8 @@ class _Look:
 
     def change(self):
         """The relative change of the fluence since the last look."""
-        every = 1 if self.lattice.shape[0] < _FEW_LAYERS else _LAYERS
+        layers = self.lattice.shape[0]
+        every = 1 if layers < _FEW else layers // _LAYERS
         before, self.light = self.light, self.lattice.fluence(every)
         norm = float(np.linalg.norm(self.light))
         return float(np.linalg.norm(self.light - before)) / (norm or 1.0)

@@ -21,7 +21,7 @@ from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 from tests.setup import compilers
 
-PHYSICAL = (("cells.cl", "lattice_physical.cl"), physical_opencl._CONSTANTS)
+PHYSICAL = (physical_opencl._SOURCES, physical_opencl._CONSTANTS)
 BOUNDS_OF_PATHS = ((), ("RAY_MARCH",), ("WOODCOCK",), ("POLYNOMIAL",))
 FLOPS = {"add": 1, "sub": 1, "mul": 1, "fma": 2, "mad": 2, "div": 1, "rcp": 1, "neg": 0}
 

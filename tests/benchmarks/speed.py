@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How fast the physical lattice steps and solves, in one run, on every runtime.
 
-    python -m tests.benchmarks.speed [steps sweeps solves]
+    python -m tests.benchmarks.speed [steps corrections sweeps solves growth problems]
 
 steps   million voxels a second of the paper's kernels, of ours, of ours without its collision (the
         roof), and of a plain copy, GB/s
 sweeps  seconds of a sun's sweep through a cloud, by itself and with what NumPy makes of it, and of
         ten steps
+corrections  what a correction by coarser lattices takes, a look at the light, and taking it back,
+        in steps
 solves  seconds of whole solves of a cloud by stage, from 32 to 192 voxels along an edge
+growth  the same of white cubes, 32 mean free paths deep, with coarser lattices and without
+problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, scaled from a few
 """
 
 import sys
+from functools import partial
 from math import prod
 from pathlib import Path
 from time import perf_counter
@@ -23,11 +28,13 @@ from lb_lighting.transport.cells import GROUP, Cells
 from lb_lighting.transport.direct import cast
 from lb_lighting.transport.direct_opencl import OpenclSweep
 from lb_lighting.transport.lattice import collision_matrix
+from lb_lighting.transport.levels import Level
 from lb_lighting.transport.lights import rank_1
 from lb_lighting.transport.paper import boundary_inflow
 from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
+from lb_lighting.transport.settle import _Look
 from lb_lighting.transport.solver import KERNELS
 from lb_lighting.transport.sweep import Beam
 from tests.benchmarks.kernels import cloud
@@ -81,12 +88,18 @@ def paper_speed(found, shape, kernel):
     return prod(shape) * count / fastest(lambda: lattice.advance(count)) / 1e6
 
 
+def stepped(lattice, count):
+    """Wait for the steps, too."""
+    lattice.advance(count)
+    lattice.queue.finish()
+
+
 def our_speed(found, shape):
     rng = np.random.default_rng(0)
     lattice = OpenCLLattice(rng.uniform(0.1, 2, shape), 0.95, 0.5, None, 0.0, found)
     lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
     count = STEPS["ours"]
-    return prod(shape) * count / fastest(lambda: lattice.advance(count)) / 1e6
+    return prod(shape) * count / fastest(lambda: stepped(lattice, count)) / 1e6
 
 
 def roof(found, shape):
@@ -143,6 +156,34 @@ def sweeps():
             }
 
 
+def corrections():
+    for found in device.devices():
+        if found.kind == "NumPy":
+            continue
+        for edge in EDGES:
+            took = correction(found, edge)
+            rest = {what: seconds / took["step"] for what, seconds in took.items()}
+            del rest["step"]
+            named = {"platform": found.platform.split(",")[0], "voxels": edge}
+            yield {**named, "step, ms": 1000 * took["step"], **rest}
+
+
+def correction(found, edge):
+    """{what: seconds}."""
+    rng = np.random.default_rng(0)
+    level = Level(partial(OpenCLLattice, device=found), rng.random((edge,) * 3), 0.99, 0.5)
+    lattice = level.lattice
+    lattice.start(Source(rng.random(lattice.shape), np.zeros((3, *lattice.shape))))
+    look, count = _Look(lattice), STEPS["ours"]
+    level.correct()
+    return {
+        "step": fastest(lambda: stepped(lattice, count)) / count,
+        "correction": fastest(lambda: (level.correct(), lattice.queue.finish())),
+        "take back": fastest(lambda: (level.take_back(), lattice.queue.finish())),
+        "look": fastest(look.change),
+    }
+
+
 def solves():
     found = device.choose()
     for edge in SOLVED:
@@ -151,12 +192,56 @@ def solves():
         yield {
             "voxels": edge,
             "steps": report.steps,
+            "corrections": report.corrections,
             **report.seconds,
             "ns a voxel and step": 1e9 * report.seconds["solve"] / edge**3 / report.steps,
         }
 
 
-PARTS = {"steps": steps, "sweeps": sweeps, "solves": solves}
+def growth():
+    found = device.choose()
+    for edge in SOLVED:
+        medium = of_depth(np.ones((edge,) * 3), 32, 1.0, 0.0)
+        report = solve(medium, [SUN], Settings(), found).report
+        yield {
+            "voxels": edge,
+            "steps": report.steps,
+            "corrections": report.corrections,
+            **report.seconds,
+            "us a voxel": 1e6 * sum(report.seconds.values()) / edge**3,
+        }
+
+
+def problems():
+    for found in device.devices():
+        if found.kind == "NumPy":
+            continue
+        for shape in ((128, 128, 128), (256, 128, 128)):
+            medium = cloud(shape)
+            report = solve(medium, [SUN], Settings(divide=1), found).report
+            seconds = sum(report.seconds.values())
+            theirs = 2 * max(shape) * prod(shape) / paper_speed(found, shape, "final") / 1e6
+            yield {
+                "platform": found.platform.split(",")[0],
+                "voxels": " x ".join(map(str, shape)),
+                "steps": report.steps,
+                "corrections": report.corrections,
+                "unscattered, s": report.seconds["direct"],
+                "lattice, s": report.seconds["solve"],
+                "all, s": seconds,
+                "2N steps of the paper's, s": theirs,
+                "ratio": theirs / seconds,
+            }
+
+
+PARTS = {
+    "steps": steps,
+    "corrections": corrections,
+    "sweeps": sweeps,
+    "solves": solves,
+    "growth": growth,
+    "problems": problems,
+}
 
 
 def main(parts):
