@@ -15,7 +15,7 @@ _LOOK_EVERY = 8  # steps between two looks
 _LAYERS, _FEW = 16, 48  # that are looked at, but all where there are few: a look costs half a step
 _RATES = 3  # rates of shrinking that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
-_FAR = 60  # steps still to come from which on a correction, which costs some 20, is worth it
+_FAR = 60  # steps still to come from which on a correction, which costs some 24, is worth it
 _LEFT = 0.3  # of what a correction took away, at least: taken to be left; of the first one, twice
 _USELESS = 0.6  # corrections that shrink no faster than this are not worth it
 

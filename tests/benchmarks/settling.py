@@ -20,7 +20,7 @@ from lb_lighting.transport.settle import settle
 from tests.benchmarks.table import publish
 
 MEDIA, TOLERANCE, MOST_STEPS = 200, 1e-2, 20_000
-WORK = 17  # steps that a correction takes as long as
+WORK = 24  # steps that a correction takes as long as
 _SETTLED, _MOST_LOOKS, _MOST_BETWEEN = 3e-7, 60, 512
 ALBEDOS, COSINES = (0.5, 0.9, 0.99, 0.999, 1 - 1e-5, 1.0), (0, 0.5, 0.85, -0.5)
 
