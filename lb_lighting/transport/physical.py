@@ -67,13 +67,20 @@ def plan(shape, settings, device, bands, occluded, lights=4):
         from .physical_opencl import OpenCLLattice
 
         lattice = OpenCLLattice.buffers(shape, occluded)
-    # One after the other, not both at once.
-    buffers = max(rays, lattice, key=lambda plan: sum(plan.values()))
+    voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
     fields = bands * (1 + 1 + 3 + 3 + lights + traced) * 4
+    band, handed = 7 * 8 + lights * 4, 8 * 8  # its light, and what is handed over
     casts = 2 * (11 + 7 * occluded) * 4  # with the forward peak, and without
-    band = 7 * 8 + lights * 4 + (7 + 4 + 4) * 8  # its light; the hand-over, and twice the source
-    return buffers, (4 + 8 * occluded + fields + casts + band) * prod(shape) + casting
+    # One after the other, not both at once: rays, and the lattice with its source made ready.
+    needs = [
+        sum(rays.values()) + casting + casts * voxels,
+        sum(lattice.values()) + (4 + 4) * 8 * voxels,
+    ]
+    buffers = max(rays, lattice, key=lambda plan: sum(plan.values()))
+    opaque = (1 + 16) * 8 * occluded  # what it is, and to find where light meets it
+    always = (4 + opaque + fields + band + handed) * voxels
+    return buffers, always + max(needs) - sum(buffers.values())
 
 
 def _refuse_unfit(medium, lights):

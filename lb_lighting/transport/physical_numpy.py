@@ -99,12 +99,13 @@ class NumpyLattice:
 
     @staticmethod
     def buffers(shape, occluded):
-        """{what: bytes} for a lattice of this shape, float64."""
+        """{what: bytes} for a lattice of this shape and all coarser ones, float64."""
         directions = 18 * 8 * Cells(shape).count
         plan = {"light": directions, "light that flows on": directions, "rates": 6 * directions}
-        plan |= {"source": 2 * directions, "work": 3 * directions}
+        plan |= {"source": 3 * directions, "work": 3 * directions}
         if occluded:
             plan["occluders"] = 4 * directions
+        plan["coarser lattices"] = sum(plan.values()) // 7  # an eighth, an eighth of that, ...
         return plan
 
     def start(self, source):
