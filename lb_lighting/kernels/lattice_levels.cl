@@ -68,11 +68,11 @@ __kernel void sum_across(GRID, __global const float *light, const int swapped,
 #define OF_TWO(part) (parts[lower + (part)*all] + live * parts[upper + (part)*all])
 #define GIVE(m, back, cx, cy, cz)                                                          \
     {                                                                                      \
-        const float weight = IS_DIAGONAL(cx, cy, cz) ? W_DIAGONAL * diagonal.drifted       \
-                                                     : W_AXIS * axis.drifted;              \
+        const float length = IS_DIAGONAL(cx, cy, cz) ? DIAGONAL : 1.0f;                    \
+        const float pushed = WEIGHT(cx, cy, cz) * length / SECOND_MOMENT;                  \
+        const float drift = pushed * ((cx)*gx + (cy)*gy + (cz)*gz);                        \
         const float even = OF_TWO(m);                                                      \
-        const float odd = OF_TWO(back) / FLOW(flow, cx, cy, cz) +                          \
-                          weight / SECOND_MOMENT * ((cx)*gx + (cy)*gy + (cz)*gz);          \
+        const float odd = (OF_TWO(back) + drift) / FLOW(flow, cx, cy, cz);                 \
         given[(m)*stride + guard + cell] += 0.25f * factor * (even + odd);                 \
         given[(back)*stride + guard + cell] += 0.25f * factor * (even - odd);              \
     }
@@ -93,8 +93,6 @@ __kernel void hand_down(GRID, __global const float *depths, const ulong origin, 
     const float gx = first * depth * OF_TWO(19), gy = first * depth * OF_TWO(20);
     const float gz = first * depth * 0.25f *
                      (live * parts[upper + 18 * all] - parts[lower + 18 * all]);
-    const Rates axis = rates(1.0f, depth, first, 0.0f, 0.0f);
-    const Rates diagonal = rates(DIAGONAL, depth, first, 0.0f, 0.0f);
     FOR_EACH_PAIR(GIVE)
 }
 

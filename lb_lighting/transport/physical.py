@@ -7,6 +7,7 @@ says what they neglect.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil, inf, isinf, prod
 
 import numpy as np
@@ -61,12 +62,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
 def plan(shape, settings, device, bands, occluded, lights=4):
     """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
     rays, casting = direct.plan(shape, occluded)
-    if device.kind == "NumPy":
-        lattice = NumpyLattice.buffers(shape, occluded)
-    else:
-        from .physical_opencl import OpenCLLattice
-
-        lattice = OpenCLLattice.buffers(shape, occluded)
+    lattice = _lattice_class(device).buffers(shape, occluded)
     voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
     fields = bands * (1 + 1 + 3 + 3 + lights + traced) * 4
@@ -81,6 +77,20 @@ def plan(shape, settings, device, bands, occluded, lights=4):
     opaque = (1 + 16) * 8 * occluded  # what it is, and to find where light meets it
     always = (4 + opaque + fields + band + handed) * voxels
     return buffers, always + max(needs) - sum(buffers.values())
+
+
+def lattice_maker(device):
+    """A function that makes a lattice on a device, of the arguments of `NumpyLattice`."""
+    made = _lattice_class(device)
+    return made if made is NumpyLattice else partial(made, device=device)
+
+
+def _lattice_class(device):
+    if device.kind == "NumPy":
+        return NumpyLattice
+    from .physical_opencl import OpenCLLattice  # only now: it needs pyopencl
+
+    return OpenCLLattice
 
 
 def _refuse_unfit(medium, lights):
@@ -427,7 +437,7 @@ class _Work:
         transport_depth = depth * (1 - medium.albedo[band] * medium.g[band])
         optics = (medium.albedo[band], medium.g[band])
         opaque = (medium.occlusion, medium.occlusion_albedo[band])
-        level = Level(self._lattice, depth, *optics, *opaque)
+        level = Level(lattice_maker(self.device), depth, *optics, *opaque)
         lattice = level.lattice
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
         lattice.start(handover.source(transport_depth, scale))
@@ -443,13 +453,6 @@ class _Work:
         lit.energy["left"] += watts * left
         absorbed = np.sum(medium.depth(medium.sigma_a[band]) * fluence)
         lit.energy["absorbed"] += watts * (absorbed + stopped)
-
-    def _lattice(self, *medium):
-        if self.device.kind == "NumPy":
-            return NumpyLattice(*medium)
-        from .physical_opencl import OpenCLLattice  # only now: it needs pyopencl
-
-        return OpenCLLattice(*medium, self.device)
 
     def _tell_error(self, error):
         if self.cancel is not None and self.cancel():

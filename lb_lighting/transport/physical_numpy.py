@@ -24,6 +24,7 @@ from .cells import (
     Cells,
     parts,
 )
+from .medium import repeated
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
@@ -114,15 +115,16 @@ class NumpyLattice:
         self.emitted = np.multiply.outer(WEIGHTS * LENGTHS / MEAN_LENGTH, power)
         self.drift = self._drift(self.cells.flat(source.drift))
         self.given = self.emitted * (1 - self.absorbed / 2) + self.drift
-        if self.occluders is not None:
-            self.occluders.start(source.reflected)
-        self.light = np.zeros((18, self.cells.count))
+        self._start_dark(source.reflected)
 
     def start_as_coarser(self):
         """Dark, and to be given what finer lattices `hand_down`."""
         self.given = np.zeros((18, self.cells.count))
+        self._start_dark(None)
+
+    def _start_dark(self, reflected):
         if self.occluders is not None:
-            self.occluders.start(None)
+            self.occluders.start(reflected)
         self.light = np.zeros((18, self.cells.count))
 
     def _drift(self, drift):
@@ -176,7 +178,8 @@ class NumpyLattice:
         even, odd = (light + light[OPPOSITE]) / 2, (light - light[OPPOSITE]) / 2
         even, odd = (_doubled(part, self.shape) for part in (even, odd))
         # By the flow of the voxel that each lies in: next to it there may be far thinner ones.
-        odd *= self._flow() / _repeated(coarser._flow(), self.shape)
+        own = tuple(map(slice, self.shape))  # beyond an odd edge there is nothing
+        odd *= self._flow() / repeated(coarser._flow(), 2)[:, *own]
         self.cells.inside(self.light)[...] += factor * (even + odd)
 
     def _flow(self):
@@ -216,13 +219,6 @@ def sum_of_eight(values):
     """(..., nx/2, ny/2, nz/2, rounded up) of (..., nx, ny, nz)."""
     for axis in (-3, -2, -1):
         values = np.add.reduceat(values, range(0, values.shape[axis], 2), axis)
-    return values
-
-
-def _repeated(values, shape):
-    """Of the voxels of twice the size that voxels lie in."""
-    for axis, n in zip((-3, -2, -1), shape, strict=True):
-        values = values.take(np.arange(n) // 2, axis)
     return values
 
 

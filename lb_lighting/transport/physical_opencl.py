@@ -85,9 +85,7 @@ class OpenCLLattice:
         given = np.concatenate([source.power[None], source.drift]).astype(np.float32)
         self.source = [self._upload(self.cells.flat(given)), np.uint64(self.cells.count)]
         self.kind = "step"
-        if self.occluders is not None:
-            self.occluders.start(source.reflected)
-        self._darken(self.light)
+        self._start_dark(source.reflected)
 
     def start_as_coarser(self):
         """Dark, and to be given what finer lattices `hand_down`."""
@@ -95,14 +93,16 @@ class OpenCLLattice:
             self.kind, self.source = "step_coarser", [self._buffer(_state_size(self.cells))]
             self.parts = self._buffer(_parts_size(self.shape))
         self._darken(*self.source)
+        self._start_dark(None)
+
+    def _start_dark(self, reflected):
         if self.occluders is not None:
-            self.occluders.start(None)
-        self._darken(self.light)
+            self.occluders.start(reflected)
+        self._darken(self.light)  # the guards too: what lies there is read
+        self.swapped = np.int32(0)
 
     def _darken(self, buffer):
-        # The guards too: what lies there is read.
         cl.enqueue_fill_buffer(self.queue, buffer, np.float32(0), 0, buffer.size)
-        self.swapped = np.int32(0)
 
     def advance(self, steps):
         """Take so many steps."""
@@ -206,12 +206,11 @@ class _Occluders:
 
     def start(self, reflected):
         """reflected is that of a `Source`."""
-        lattice, into = self.lattice, self.reflected
         if reflected is None:
-            cl.enqueue_fill_buffer(lattice.queue, into, np.float32(0), 0, into.size)
+            self.lattice._darken(self.reflected)
         else:
-            values = lattice.cells.flat(reflected).astype(np.float32)
-            cl.enqueue_copy(lattice.queue, into, values)
+            values = self.lattice.cells.flat(reflected).astype(np.float32)
+            cl.enqueue_copy(self.lattice.queue, self.reflected, values)
 
     def meet(self):
         """What the light of the last step meets on its way."""

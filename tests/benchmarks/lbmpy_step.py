@@ -23,9 +23,8 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.physical_numpy import Source
-from lb_lighting.transport.physical_opencl import OpenCLLattice
 from tests.benchmarks import quiet
+from tests.benchmarks.speed import our_level, stepped
 from tests.benchmarks.table import publish
 from tests.setup import peers
 
@@ -76,18 +75,14 @@ class Ours:
     """Our lattice on a device."""
 
     def __init__(self, found, edge):
-        self.platform, shape = found.platform.split(",")[0], (edge,) * 3
-        rng = np.random.default_rng(0)
-        self.lattice = OpenCLLattice(rng.uniform(0.1, 2, shape), 0.95, 0.5, None, 0.0, found)
-        self.lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
+        self.platform = found.platform.split(",")[0]
+        self.lattice = our_level(found, (edge,) * 3).lattice
 
     def seconds(self, count):
         """Of so many steps, after two that do not count."""
-        self.lattice.advance(2)
-        self.lattice.queue.finish()
+        stepped(self.lattice, 2)
         begin = perf_counter()
-        self.lattice.advance(count)
-        self.lattice.queue.finish()
+        stepped(self.lattice, count)
         return perf_counter() - begin
 
 

@@ -9,13 +9,13 @@ counts as so many steps as it takes as long as at 128^3 voxels (`speed`, part "c
 """
 
 import sys
-from functools import partial
 
 import numpy as np
 
 from lb_lighting.transport import device
 from lb_lighting.transport.levels import Level
-from lb_lighting.transport.physical_numpy import NumpyLattice, Source
+from lb_lighting.transport.physical import lattice_maker
+from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.settle import settle
 from tests.benchmarks.table import publish
 
@@ -23,15 +23,6 @@ MEDIA, TOLERANCE, MOST_STEPS = 200, 1e-2, 20_000
 WORK = 24  # steps that a correction takes as long as
 _SETTLED, _MOST_LOOKS, _MOST_BETWEEN = 3e-7, 60, 512
 ALBEDOS, COSINES = (0.5, 0.9, 0.99, 0.999, 1 - 1e-5, 1.0), (0, 0.5, 0.85, -0.5)
-
-
-def make(found):
-    """What makes lattices on a device."""
-    if found.kind == "NumPy":
-        return NumpyLattice
-    from lb_lighting.transport.physical_opencl import OpenCLLattice
-
-    return partial(OpenCLLattice, device=found)
 
 
 class ByStepsAlone(Level):
@@ -117,7 +108,7 @@ SOURCES = (from_above, glowing, one_voxel)
 
 def started(kind, found, optics):
     *optics, power = optics
-    level = kind(make(found), *optics)
+    level = kind(lattice_maker(found), *optics)
     level.lattice.start(Source(power, np.zeros((3, *power.shape))))
     return level
 

@@ -15,7 +15,6 @@ problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, sc
 """
 
 import sys
-from functools import partial
 from math import prod
 from pathlib import Path
 from time import perf_counter
@@ -32,6 +31,7 @@ from lb_lighting.transport.levels import Level
 from lb_lighting.transport.lights import rank_1
 from lb_lighting.transport.paper import boundary_inflow
 from lb_lighting.transport.paper_opencl import PaperLattice
+from lb_lighting.transport.physical import lattice_maker
 from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
 from lb_lighting.transport.settle import _Look
@@ -94,11 +94,16 @@ def stepped(lattice, count):
     lattice.queue.finish()
 
 
-def our_speed(found, shape):
+def our_level(found, shape):
+    """Of a random medium, started."""
     rng = np.random.default_rng(0)
-    lattice = OpenCLLattice(rng.uniform(0.1, 2, shape), 0.95, 0.5, None, 0.0, found)
-    lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
-    count = STEPS["ours"]
+    level = Level(lattice_maker(found), rng.uniform(0.1, 2, shape), 0.95, 0.5)
+    level.lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
+    return level
+
+
+def our_speed(found, shape):
+    lattice, count = our_level(found, shape).lattice, STEPS["ours"]
     return prod(shape) * count / fastest(lambda: stepped(lattice, count)) / 1e6
 
 
@@ -170,10 +175,8 @@ def corrections():
 
 def correction(found, edge):
     """{what: seconds}."""
-    rng = np.random.default_rng(0)
-    level = Level(partial(OpenCLLattice, device=found), rng.random((edge,) * 3), 0.99, 0.5)
+    level = our_level(found, (edge,) * 3)
     lattice = level.lattice
-    lattice.start(Source(rng.random(lattice.shape), np.zeros((3, *lattice.shape))))
     look, count = _Look(lattice), STEPS["ours"]
     level.correct()
     return {

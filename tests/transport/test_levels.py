@@ -6,9 +6,10 @@ import pytest
 
 from lb_lighting.transport.cells import WEIGHTS
 from lb_lighting.transport.levels import Level, shapes
+from lb_lighting.transport.physical import lattice_maker
 from lb_lighting.transport.physical_numpy import NumpyLattice, Source
 from lb_lighting.transport.settle import settle
-from tests.benchmarks.settling import ByStepsAlone, difference, make, medium, settled, started
+from tests.benchmarks.settling import ByStepsAlone, difference, medium, settled, started
 from tests.tracing import OPENCL, name
 
 on_opencl = pytest.mark.parametrize("device", OPENCL, ids=name)
@@ -36,7 +37,7 @@ def assert_close(got, expected, relative):
 @pytest.mark.parametrize("shape", [(13, 9, 17), (8, 16, 12), (33, 1, 20)], ids=str)
 def test_kernels_correct_as_their_twin_does(shape, occluded, device):
     """On light that lies either way in memory, through two and three levels."""
-    kernel, twin = (level_on(how, shape, occluded) for how in (make(device), NumpyLattice))
+    kernel, twin = (level_on(how, shape, occluded) for how in (lattice_maker(device), NumpyLattice))
     for between in (0, 1, 4):
         for level in (kernel, twin):
             level.lattice.advance(between)
@@ -47,13 +48,13 @@ def test_kernels_correct_as_their_twin_does(shape, occluded, device):
 
 @pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
 def test_what_a_correction_added_can_be_taken_back(device):
-    level = level_on(make(device) if device else NumpyLattice, (13, 9, 17), True)
+    level = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
     level.lattice.advance(2)
     plain = level.lattice.fluence()
     level.correct()
     corrected = level.lattice.fluence()
     level.take_back()
-    again = level_on(make(device) if device else NumpyLattice, (13, 9, 17), True)
+    again = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
     again.lattice.advance(4)
     assert difference(corrected, plain) > 0.1
     assert_close(level.lattice.fluence(), again.lattice.fluence(), 1e-5)
