@@ -28,7 +28,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "performance"
 EDGE, STEPS = 128, 176  # a solve of a cloud to 1 %, as speed.py prints
 CELLS = Cells((EDGE,) * 3).count / EDGE**3  # for a voxel: of the vacuum around them, too
 ROOF_BYTES = CELLS * 2 * 18 * 4  # that the kernel without collisions reads and writes for a voxel
-# GB/s and TFLOP/s in FP32 from the makers' sheets.
+# GB/s and TFLOP/s in FP32 that the makers publish; typed in from memory, not looked up.
 CARDS = {
     "GeForce RTX 4090": (1008, 82.6),
     "Radeon RX 7900 XTX": (960, 61.4),
