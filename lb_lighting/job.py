@@ -1,87 +1,160 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the solver in a process of its own, so that no driver can take Blender down with it."""
+"""Runs tasks in a process of its own, so that no driver can take Blender down with it."""
 
 import contextlib
 import importlib.util
 import json
 import os
+import queue
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from pathlib import Path
 
 from . import errors, exchange
+from .tasks import Devices
+from .worker import RESULT, TASK, remove_scraps
 
+PATIENCE = 600.0  # s of silence, after which the worker is taken to hang
 _PACKAGE = Path(__file__).parent
+_END = None  # what the worker's last message is followed by
 
 
-def solve(medium, lights, settings, device=None, progress=None):
-    """`transport.solve` in a process of its own, waited for.
+class Job:
+    """A task under way in a process of its own.
 
-    device    None, or part of a device's label
-    progress  called as progress(stage, fraction)
-    Returns a Field. Raises what the solver raised, or SolverError if its process died.
+    said  {name: value}: the latest that it told of each name, such as its stage
     """
-    with tempfile.TemporaryDirectory(prefix="lb_lighting_") as folder:
-        problem, result = Path(folder, "problem.npz"), Path(folder, "field.npz")
+
+    def __init__(self, task):
+        """Start `task`, see worker.py; OutputError where it cannot be written down."""
+        self.task = task
+        self.said = {}
+        self.folder = tempfile.TemporaryDirectory(prefix="lb_lighting_", ignore_cleanup_errors=True)
+        self._chatter = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process
+        self._started = self._heard = time.monotonic()
         try:
-            exchange.save_problem(problem, medium, lights, settings, device)
+            exchange.save(self._path(TASK), task)
         except OSError as error:
             raise errors.OutputError(
-                f"The temporary folder {folder} cannot take the scene ({error.strerror}); "
-                "free some space there."
+                f"The temporary folder {self.folder.name} cannot take the scene "
+                f"({error.strerror}); free some space there."
             ) from error
-        for message in _messages("solve", str(problem), str(result)):
-            if progress is not None and "stage" in message:
-                progress(message["stage"], message["fraction"])
-        return exchange.load_field(result)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", f"{_PACKAGE.name}.worker", self.folder.name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._chatter,
+            env=_environment(),
+            text=True,
+        )
+        self._inbox = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
 
+    def update(self, wait=0.0):
+        """Take in what the worker said, waiting up to `wait` s for it; whether it is done.
 
-def require_memory(shape, device=None, model="physical"):
-    """Refuse, with a DeviceError, a domain of `shape` voxels that the device cannot hold."""
-    for _ in _messages("plan", *map(str, shape), model, device or ""):
-        pass
+        Raises what the worker raised, or SolverError if it died or has been silent for too long;
+        then it is ended, and its files are gone.
+        """
+        try:
+            while True:
+                message = self._inbox.get(timeout=wait) if wait else self._inbox.get_nowait()
+                wait = 0.0
+                if message is _END:
+                    return self._finished()
+                self._take(message)
+        except queue.Empty:
+            if time.monotonic() - self._heard < PATIENCE:
+                return False
+            self.cancel()
+            raise errors.SolverError(
+                f"The solver has said nothing for {PATIENCE:.0f} s and was ended; nothing was "
+                "changed. Choose another device or a lower resolution."
+            ) from None
+        except BaseException:
+            self.cancel()
+            raise
+
+    def result(self):
+        """What the task returned, once `update` says that it is done."""
+        return exchange.load(self._path(RESULT))
+
+    def wait(self, progress=None):
+        """Wait for the end; what the task returned. Raises as `update` does.
+
+        progress  called as progress(stage, fraction)
+        """
+        try:
+            told = None
+            while not self.update(wait=0.5):
+                if progress is not None and "stage" in self.said and self.said != told:
+                    told = dict(self.said)
+                    progress(self.said["stage"], self.said["fraction"])
+            return self.result()
+        except BaseException:  # also where the caller stops listening: no orphan is left
+            self.cancel()
+            raise
+
+    def cancel(self):
+        """End the process at once, and delete what it left."""
+        self._end()
+        remove_scraps(self.task)
+        self.folder.cleanup()
+
+    @property
+    def seconds_left(self):
+        """An estimate from the way so far, or None where it is too early to tell."""
+        fraction = self.said.get("fraction", 0)
+        spent = self._heard - self._started
+        return spent * (1 - fraction) / fraction if fraction > 0.05 else None
+
+    def _path(self, name):
+        return Path(self.folder.name, name)
+
+    def _listen(self):
+        with contextlib.suppress(ValueError):  # the pipe was closed
+            for line in self._process.stdout:
+                self._inbox.put(json.loads(line))
+        self._inbox.put(_END)
+
+    def _take(self, message):
+        self._heard = time.monotonic()
+        if "error" in message:
+            raise getattr(errors, message["error"])(message["text"])
+        self.said |= message
+
+    def _finished(self):
+        self._inbox.put(_END)  # for whoever asks again
+        if self._process.wait() != 0:
+            self._chatter.seek(0)
+            raise errors.SolverError(_obituary(self._process.returncode, self._chatter.read()))
+        self._end()
+        return True
+
+    def _end(self):
+        with contextlib.suppress(ProcessLookupError):
+            self._process.kill()
+        self._process.wait()
+        self._process.stdin.close()
+        self._chatter.close()
 
 
 def device_lines():
     """The devices that can solve, a line each, the default first."""
-    return next(m["devices"] for m in _messages("devices") if "devices" in m)
-
-
-def _messages(*arguments):
-    """Start the worker and yield what it says; raise its error, or SolverError if it dies."""
-    with tempfile.TemporaryFile() as chatter:
-        process = subprocess.Popen(
-            [sys.executable, "-m", f"{_PACKAGE.name}.worker", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=chatter,
-            stdin=subprocess.DEVNULL,
-            env=_environment(),
-            text=True,
-        )
-        try:
-            for line in process.stdout:
-                message = json.loads(line)
-                if "error" in message:
-                    raise getattr(errors, message["error"])(message["text"])
-                yield message
-            if process.wait() != 0:
-                chatter.seek(0)
-                raise errors.SolverError(_obituary(process.returncode, chatter.read()))
-        finally:  # also where the caller stops listening: no orphan is left
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            process.wait()
-            process.stdout.close()
+    return Job(Devices()).wait()
 
 
 def _environment():
-    """The worker's: it finds the package, and pyopencl where an extension's wheels put it."""
+    """The worker's: it finds the package, and the libraries where Blender has them."""
     folders = [str(_PACKAGE.parent)]
-    for name in ("pyopencl", "numpy"):
+    for name in ("pyopencl", "numpy", "openvdb"):
         spec = importlib.util.find_spec(name)
         if spec is not None:
-            folders.append(str(Path(spec.origin).parent.parent))
+            package = Path(spec.origin).parent
+            folders.append(str(package.parent if spec.submodule_search_locations else package))
     # An installed extension's folder is not ours to write to.
     return {
         **os.environ,

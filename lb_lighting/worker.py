@@ -1,66 +1,67 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The solver's own process: no Blender in it, and no OpenCL in Blender's.
 
-    python -m lb_lighting.worker solve PROBLEM.npz FIELD.npz
-    python -m lb_lighting.worker plan NX NY NZ MODEL DEVICE
-    python -m lb_lighting.worker devices
+    python -m lb_lighting.worker FOLDER
 
-It answers on stdout, one JSON object a line: {"stage", "fraction"} while it works,
-{"devices": [line, ...]} or {"field": path} when done, nothing for a plan that fits,
-{"error": kind, "text": sentence} where it cannot. A driver that prints to stdout does no harm:
-the messages go to a copy of it, and the rest to stderr.
+The folder holds a task, any object with a method `run(tell, folder)`; what that returns is kept
+beside it. It talks on stdout, one JSON object a line: what the task tells, such as {"stage",
+"fraction"}, and {"error": kind, "text": sentence} where it cannot. A driver that prints to stdout
+does no harm: the messages go to a copy of it, and the rest to stderr. It ends when stdin does, for
+then whoever waits for it is gone.
 """
 
 import json
 import os
 import sys
+import threading
+from pathlib import Path
 
 from . import exchange
-from .errors import DeviceError, LightingError
-from .transport import device
-from .transport.solver import Settings, require_memory, solve
+from .errors import DeviceError, LightingError, OutputError
+
+TASK, RESULT = "task", "result"
 
 
-def main(arguments):
+def main(folder):
+    folder = Path(folder)
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
-    def say(**message):
+    def tell(**message):
         print(json.dumps(message), file=answers)
 
+    def refuse(error, text):
+        tell(error=error.__name__, text=text)
+        return 1
+
+    task = exchange.load(folder / TASK)
+    threading.Thread(target=_leave_with_parent, args=(task,), daemon=True).start()
     try:
-        if arguments == ["devices"]:
-            say(devices=[found.line for found in device.devices()])
-        elif arguments[0] == "plan":
-            *shape, model, wanted = arguments[1:]
-            require_memory(tuple(map(int, shape)), Settings(model=model), wanted)
-        else:
-            _, problem, result = arguments
-            _solve(problem, result, say)
+        result = task.run(tell, folder)
+        exchange.save(folder / RESULT, result)
     except LightingError as error:
-        say(error=type(error).__name__, text=str(error))
-        return 1
+        return refuse(type(error), str(error))
     except MemoryError:
-        say(
-            error=DeviceError.__name__,
-            text="There is not enough memory; close other programs or lower the resolution.",
-        )
-        return 1
+        sentence = "There is not enough memory; close other programs or lower the resolution."
+        return refuse(DeviceError, sentence)
+    except OSError as error:
+        sentence = f"The temporary folder {folder} cannot take the result ({error.strerror}); "
+        return refuse(OutputError, sentence + "free some space there.")
     return 0
 
 
-def _solve(problem, result, say):
-    medium, lights, settings, wanted = exchange.load_problem(problem)
-    field = solve(
-        medium,
-        lights,
-        settings,
-        wanted,
-        progress=lambda stage, fraction: say(stage=stage, fraction=fraction),
-    )
-    exchange.save_field(result, field)
-    say(field=result)
+def remove_scraps(task):
+    """Delete the files that an unfinished `task` may have left outside of its folder."""
+    for path in getattr(task, "scraps", ()):
+        Path(path).unlink(missing_ok=True)
+
+
+def _leave_with_parent(task):
+    while os.read(0, 1):  # not by sys.stdin, whose lock would be held when Python ends
+        pass
+    remove_scraps(task)
+    os._exit(1)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(*sys.argv[1:]))

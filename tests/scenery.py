@@ -11,7 +11,7 @@ import openvdb
 
 from lb_lighting import bake
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
-from lb_lighting.output.volume import LIGHT_GRID
+from lb_lighting.output.vdb import LIGHT_GRID
 
 EDGE = 8  # voxels of a fog
 # What tells of the session, not of the file.
@@ -113,10 +113,10 @@ def add_ball(name="ball", radius=0.8, role="AUTO", material=None):
     return ob
 
 
-def bake_light(*objects, **changes):
+def bake_light(*objects, progress=None, **changes):
     """The `bake.Outcome` of the scene's own settings with `changes`."""
     options = bake.Options.of(bpy.context.scene, **changes)
-    return bake.bake(bpy.context, objects, options)
+    return bake.bake(bpy.context, objects, options, progress)
 
 
 def select(*objects):

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake, job
+from lb_lighting import bake
 from lb_lighting.errors import (
     DeviceError,
     LightError,
@@ -19,7 +19,8 @@ from lb_lighting.errors import (
     SettingsError,
     SolverError,
 )
-from lb_lighting.output.volume import DENSITY_GRID, baked_volumes, read_metadata
+from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
+from lb_lighting.output.volume import baked_volumes
 from tests import scenery
 from tests.output import rendering
 from tests.scenery import ambient, bake_light, read_grid, snapshot
@@ -511,16 +512,17 @@ class TestBadInput:
     def refused(self, objects, error, sentence, **changes):
         before = snapshot()
         files = set(Path(bpy.context.scene.lb_lighting.folder).iterdir())
+        stages = []
         with pytest.raises(error) as caught:
-            bake_light(*objects, **changes)
+            bake_light(*objects, progress=lambda *told: stages.append(told[0]), **changes)
+        assert "Solving" not in stages
         assert sentence in str(caught.value)
         assert "\n" not in str(caught.value)
         assert snapshot() == before
         assert set(Path(bpy.context.scene.lb_lighting.folder).iterdir()) == files
 
     @pytest.mark.parametrize("name", BAD_SOURCES)
-    def test_is_refused_before_the_solve(self, scene, tmp_path, name, monkeypatch):
-        monkeypatch.delattr(job, "solve")
+    def test_is_refused_before_the_solve(self, scene, tmp_path, name):
         make, changes, error, sentence = BAD_SOURCES[name]
         self.refused(make(tmp_path), error, sentence, **changes)
 

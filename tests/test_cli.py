@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from lb_lighting import cli, job
-from lb_lighting.output.volume import baked_volumes, read_metadata
+from lb_lighting.output.vdb import read_metadata
+from lb_lighting.output.volume import baked_volumes
 from tests import scenery
 from tests.output.rendering import dark_scene, render
 from tests.scenery import ambient, bake_light, read_grid, snapshot

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The solver's process: the same light as here, its errors here, and no harm where it dies."""
 
-import json
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
 from lb_lighting import exchange, job
-from lb_lighting.errors import DeviceError, LightError, SolverError
+from lb_lighting.errors import DeviceError, OutputError, SolverError
+from lb_lighting.job import Job
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
+from tests.jobs import Chatter, Fail, Idle, Solve, refused
 
 SUN = Sun((0.1, 0.2, -1), (3.0, 2.0, 1.0))
 NO_OPENCL = "/nowhere"
@@ -30,64 +33,45 @@ def medium():
     )
 
 
-@pytest.fixture
-def large():
-    """A medium that takes NumPy seconds."""
-    return Medium(np.ones((64, 64, 64)), 1.0, 0.5, 0.1)
-
-
-def test_problem_is_read_as_it_was_written(tmp_path, medium):
-    path = tmp_path / "problem.npz"
+def test_a_task_is_read_as_it_was_written(tmp_path, medium):
     lights = [SUN, Sky(0.5), PointLight((1, 2, 3), np.array((1.0, 2.0, 3.0)))]
-    exchange.save_problem(
-        path, medium, lights, Settings("paper", steps=5, keep_absorbed=True), "abc"
-    )
-    found, found_lights, settings, device = exchange.load_problem(path)
+    settings = Settings("paper", steps=5, keep_absorbed=True)
+    exchange.save(tmp_path / "task", Solve(medium, lights, settings, "abc"))
+    found = exchange.load(tmp_path / "task")
     for name in ("density", "sigma_s", "sigma_a", "g", "occlusion"):
-        assert np.array_equal(getattr(found, name), getattr(medium, name))
-    assert found.emission is None
-    assert (found.voxel_size, found.origin) == (0.5, (1, 2, 3))
-    assert [type(light) for light in found_lights] == [Sun, Sky, PointLight]
-    assert tuple(found_lights[0].direction) == SUN.direction
-    assert tuple(found_lights[2].power) == (1, 2, 3)
-    assert (settings, device) == (Settings("paper", steps=5, keep_absorbed=True), "abc")
+        assert np.array_equal(getattr(found.medium, name), getattr(medium, name))
+    assert (found.medium.voxel_size, found.medium.origin) == (0.5, (1, 2, 3))
+    assert found.lights[:2] == lights[:2]
+    assert (found.settings, found.device) == (settings, "abc")
 
 
-def test_field_is_read_as_it_was_written(tmp_path, medium):
-    path = tmp_path / "field.npz"
-    field = solve(medium, [SUN], Settings("paper", steps=3), "NumPy")
-    exchange.save_field(path, field)
-    found = exchange.load_field(path)
-    for name in ("fluence", "direct", "flux"):
-        assert np.array_equal(getattr(found, name), getattr(field, name))
-    assert found.variance is None
-    assert (found.domain, found.report) == (field.domain, field.report)
-
-
-def test_a_sky_with_a_function_stays_in_its_process(medium):
-    with pytest.raises(LightError, match="can be solved in the same process only"):
-        job.solve(medium, [Sky(lambda direction: 1.0)], Settings())
+def test_an_extensions_classes_are_read_under_their_plain_names(tmp_path, monkeypatch):
+    """As an extension, the package is part of another; the worker knows it alone."""
+    monkeypatch.setattr(Sun, "__module__", "bl_ext.user_default.lb_lighting." + Sun.__module__)
+    monkeypatch.setitem(sys.modules, Sun.__module__, sys.modules["lb_lighting.transport.lights"])
+    exchange.save(tmp_path / "sun", SUN)
+    assert b"bl_ext" in (tmp_path / "sun").read_bytes()
+    monkeypatch.undo()
+    assert exchange.load(tmp_path / "sun") == SUN
 
 
 def test_same_light_as_in_this_process(medium):
     told = []
-    found = job.solve(
-        medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy", lambda *progress: told.append(progress)
-    )
+    task = Solve(medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy")
+    found = Job(task).wait(lambda *progress: told.append(progress))
     expected = solve(medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy")
     assert np.array_equal(found.fluence, expected.fluence)
     assert found.domain == expected.domain
     assert {stage for stage, _fraction in told} == {"solve"}
     fractions = [fraction for _stage, fraction in told]
     assert fractions == sorted(fractions)
-    assert fractions[-1] == 1
 
 
 def test_physical_light_crosses_too():
     sun = Sun((0, 0.6, -0.8), (1.0, 2.0), shadow_density=np.full((4, 5, 6), 0.5))
     medium = Medium(np.ones((4, 5, 6)), 0.5, 1.0, (0.1, 0.2), shift=[[0, 0], [0.5, 0]])
     settings = Settings(divide=2, tolerance=1e-3)
-    found = job.solve(medium, [sun], settings)
+    found = Job(Solve(medium, [sun], settings)).wait()
     expected = solve(medium, [sun], settings)
     for name in ("fluence", "direct", "flux", "by_light"):
         assert np.array_equal(getattr(found, name), getattr(expected, name))
@@ -99,82 +83,128 @@ def test_physical_light_crosses_too():
 def test_starts_from_any_folder(tmp_path, monkeypatch, medium):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    assert job.solve(medium, [SUN], Settings("paper", steps=1), "NumPy").report.steps == 1
+    task = Solve(medium, [SUN], Settings("paper", steps=1), "NumPy")
+    assert Job(task).wait().report.steps == 1
 
 
-@pytest.mark.parametrize(
-    ("lights", "device", "error", "sentence"),
-    [
-        ([SUN], "abacus", DeviceError, "There is no device called 'abacus'; choose one of: "),
-        ([PointLight((0, 0, 0), 1.0)], "NumPy", LightError, "replace the PointLight by a Sun"),
-    ],
-)
-def test_its_errors_are_raised_here(medium, lights, device, error, sentence):
-    with pytest.raises(error, match=sentence):
-        job.solve(medium, lights, Settings("paper"), device)
+def test_its_errors_are_raised_here():
+    with pytest.raises(DeviceError, match=r"^The device is asleep; wake it\.$"):
+        Job(Fail(refused())).wait()
 
 
-def test_too_large_a_domain_is_refused_with_one_that_fits():
-    with pytest.raises(DeviceError, match=r"the largest resolution that fits is (\d+)\.") as caught:
-        job.require_memory((10**7, 10**7, 10**7), "NumPy")
-    largest = int(str(caught.value).rstrip(".").rsplit(" ", 1)[1])
-    # What fits is what is free at the time, and that differs a little from call to call.
-    assert job.require_memory((int(0.8 * largest),) * 3, "NumPy") is None
-    with pytest.raises(DeviceError):
-        job.require_memory((int(1.25 * largest),) * 3, "NumPy")
+def test_too_little_memory_is_one_sentence():
+    with pytest.raises(DeviceError, match="not enough memory; close other programs or lower"):
+        Job(Fail(MemoryError())).wait()
 
 
-def test_a_killed_process_is_one_sentence(processes, large):
+def test_a_full_disk_is_one_sentence():
+    sentence = r"^The temporary folder .* cannot take the result \(No space left\); free some"
+    with pytest.raises(OutputError, match=sentence):
+        Job(Fail(OSError(28, "No space left"))).wait()
+
+
+def test_a_killed_process_is_one_sentence(processes):
+    running = Job(Idle())
     with pytest.raises(SolverError) as caught:
-        job.solve(
-            large, [Sky(1.0)], Settings("paper"), "NumPy", lambda *_progress: processes[0].kill()
-        )
+        running.wait(lambda *_progress: processes[0].kill())
     assert str(caught.value) == (
         "The solver's process was ended by signal 9; nothing was changed. "
         "Choose another device or a lower resolution."
     )
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs POSIX signals")
+def test_a_process_that_hangs_is_ended(processes, monkeypatch):
+    monkeypatch.setattr(job, "PATIENCE", 1.0)
+    running = Job(Idle())
+    with pytest.raises(SolverError, match=r"^The solver has said nothing for 1 s and was ended; "):
+        running.wait(lambda *_progress: processes[0].send_signal(signal.SIGSTOP))
+    assert processes[0].poll() is not None
+
+
 def test_a_defect_in_it_is_one_sentence_with_its_last_words():
-    with pytest.raises(SolverError, match=r"ended with code 1; .* Its last words: ValueError: "):
-        job.require_memory(("wide", 1, 1), "NumPy")
+    with pytest.raises(SolverError, match=r"ended with code 1; .* Its last words: ValueError: no"):
+        Job(Fail(ValueError("no"))).wait()
 
 
-def test_it_ends_where_its_caller_stops_listening(processes, large):
+def told(running):
+    """Wait for the first message; what it told."""
+    while not running.said:
+        running.update(wait=0.1)
+    return running.said
 
+
+def test_cancel_is_prompt_and_leaves_nothing(processes, tmp_path):
+    scrap, folder = tmp_path / "half.vdb", None
+    running = Job(Idle((scrap,)))
+    assert told(running) == {"stage": "idle", "fraction": 0.5}
+    assert running.seconds_left > 0
+    scrap.write_text("half")
+    folder = running.folder.name
+    start = time.monotonic()
+    running.cancel()
+    assert time.monotonic() - start < 1
+    assert processes[0].poll() is not None
+    assert not scrap.exists()
+    assert not job.Path(folder).exists()
+
+
+def test_it_ends_where_its_caller_stops_listening(processes):
     def interrupt(*_progress):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        job.solve(large, [Sky(1.0)], Settings("paper"), "NumPy", interrupt)
+        Job(Idle()).wait(interrupt)
     assert processes[0].poll() is not None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
+def test_no_orphan_is_left_where_its_parent_is_killed(tmp_path):
+    scrap = tmp_path / "half.vdb"
+    code = f"""
+import time
+from lb_lighting.job import Job
+from tests.jobs import Idle
+running = Job(Idle(({str(scrap)!r},)))
+while not running.said:
+    running.update(wait=0.1)
+print(running._process.pid, flush=True)
+time.sleep(60)
+"""
+    command = [sys.executable, "-c", code]
+    environment = job._environment()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as parent:
+        worker = int(parent.stdout.readline())
+        scrap.write_text("half")
+        parent.kill()
+    deadline = time.monotonic() + 10
+    while is_running(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not is_running(worker)
+    assert not scrap.exists()
+
+
+def is_running(pid):
+    """Whether there is such a process that is not just waiting to be buried."""
+    try:
+        state = job.Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return state.rsplit(")", 1)[1].split()[0] != "Z"
 
 
 def test_without_opencl_numpy_solves(monkeypatch, medium):
     monkeypatch.setenv("OCL_ICD_VENDORS", NO_OPENCL)
     assert len(job.device_lines()) == 1
-    assert job.solve(medium, [SUN], Settings("paper")).report.device == "NumPy (no OpenCL)"
+    found = Job(Solve(medium, [SUN], Settings("paper"))).wait()
+    assert found.report.device == "NumPy (no OpenCL)"
 
 
 def test_devices_are_listed_with_numpy_last():
     assert job.device_lines()[-1].startswith("NumPy (no OpenCL): NumPy, ")
 
 
-def test_a_driver_may_print(tmp_path):
-    code = """
-import os, sys
-from lb_lighting import worker
-from lb_lighting.transport import device
-
-def devices():
-    print("chatter")
-    os.write(1, b"chatter of a driver")
-    return [device.numpy_device()]
-
-device.devices = devices
-sys.exit(worker.main(["devices"]))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=job._environment())
-    (line,) = done.stdout.splitlines()
-    assert list(json.loads(line)) == ["devices"]
-    assert b"chatter of a driver" in done.stderr
+def test_a_driver_may_print():
+    running = Job(Chatter())
+    assert running.wait() == 42
+    assert running.said == {"stage": "talk", "fraction": 1.0}

@@ -5,7 +5,7 @@ import bpy
 
 from .attribute import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE
 from .ours import TAG, find_ours
-from .volume import AXES, DENSITY_GRID, LIGHT_GRID, flux_grid
+from .vdb import AXES, DENSITY_GRID, LIGHT_GRID, flux_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"

@@ -28,9 +28,7 @@ from .groups import (
     volume_group,
 )
 from .ours import TAG, find_ours, give_back, is_ours, override
-from .volume import AXES, direct_grid
-
-MODES = {"REPLACE": True, "ADD": False}  # the value of the group's socket "Replace"
+from .vdb import AXES, direct_grid
 
 # Nodes that hand on the closures of others.
 PASSING_NODES = {"MIX_SHADER", "ADD_SHADER", "REROUTE"}
@@ -88,7 +86,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), strength=1.0):
     inputs["Sigma S"].default_value = _triple(sigma_s)
     inputs["Sigma A"].default_value = _triple(sigma_a)
     inputs["G"].default_value = _triple(g)
-    inputs["Replace"].default_value = MODES[mode]
+    inputs["Replace"].default_value = mode == "REPLACE"
     target = inputs["Direct"]
     for number, beam in enumerate(beams, 1):
         target = _insert_beam(material.node_tree, target, number, beam, _triple(g))

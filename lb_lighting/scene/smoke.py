@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Smoke and fire of Blender's fluid simulation, onto the lattice."""
+"""Smoke and fire of Blender's fluid simulation."""
 
 import numpy as np
 
 from ..errors import SceneError
-from .volumes import box_bounds, resample_array, world_matrix
+from .volumes import Cells, box_bounds, world_matrix
 
 SCALAR_GRIDS = ("density", "flame", "temperature")
 
@@ -17,8 +17,8 @@ def find_domain_settings(ob):
     return None
 
 
-def smoke_grid(ob, depsgraph, domain, name):
-    """(nx, ny, nz) float32: a grid of the simulation at the current frame, on the lattice.
+def read_grid(ob, depsgraph, name):
+    """The `Cells` of a grid of the simulation at the current frame.
 
     ob    the original object that is the fluid domain
     name  one of SCALAR_GRIDS; its values stay in the simulation's own units
@@ -37,7 +37,7 @@ def smoke_grid(ob, depsgraph, domain, name):
     cell = np.ptp(box, axis=0) / values.shape
     to_object = np.diag([*cell, 1.0])
     to_object[:3, 3] = box.min(axis=0) + cell / 2
-    return resample_array(values, world_matrix(ob, depsgraph) @ to_object, domain)
+    return Cells(values, world_matrix(ob, depsgraph) @ to_object)
 
 
 def burns(ob, depsgraph):

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a selected object is to the light: a volume, smoke, foliage, a solid or an occluder."""
+"""What a selected object is to the light: a volume, smoke, foliage, a solid or an occluder.
+
+Sources are made in Blender, and take from it what they need as arrays, which is quick. All else
+(`bounds`, `shares`, `occlusion`) needs no Blender, and is done in the solver's process.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +25,7 @@ from .materials import (
     volume_optics,
     volume_shines,
 )
+from .meshes import world_parts
 
 FROM_MATERIAL = "MATERIAL"
 COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
@@ -61,6 +67,9 @@ class Reader:
     grid: str
     notes: list = field(default_factory=list)
 
+    def __getstate__(self):
+        return vars(self) | {"depsgraph": None}  # it stays in Blender
+
     def volume_optics(self, ob, materials, fallback):
         """The first `VolumeOptics` of `materials`, or None where a preset stands in for them.
 
@@ -95,17 +104,16 @@ class Reader:
             )
         return mixed
 
-    def occluder_color(self, ob, parts):
-        """(3,), the share of light that the parts of `ob` throw back, on average by their area.
+    def occluder_colors(self, ob, parts):
+        """[(3,)], the share of light that each of the parts of `ob` throws back.
 
         0 for materials that cannot be read, with a note: they stop light all the same.
         """
         try:
-            colors = [leaf_optics(part.material).reflectance for part in parts]
+            return [leaf_optics(part.material).reflectance for part in parts]
         except SceneError as error:
             self.notes.append(f"'{ob.name}' throws no light back. {error}")
-            return np.zeros(3)
-        return np.average(colors, axis=0, weights=[part.area for part in parts])
+            return [np.zeros(3)] * len(parts)
 
     def preset(self, fallback, length):
         """The chosen preset (or `fallback`), scaled to `optical_depth` over `length` metres."""
@@ -122,7 +130,7 @@ def open_sources(objects, reader):
             raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
     surfaces = [ob for ob in objects if _is_surface(ob)]
     parts = defaultdict(list)
-    for part in voxelize.world_parts(reader.depsgraph, surfaces):
+    for part in world_parts(reader.depsgraph, surfaces):
         parts[part.object].append(part)
     return [_open(ob, parts.get(ob, []), reader) for ob in objects]
 
@@ -136,10 +144,9 @@ def _open(ob, parts, reader):
         return VolumeSource(ob, reader)
     if smoke.find_domain_settings(ob):
         return SmokeSource(ob, reader)
-    has_faces = any(len(part.triangles) for part in parts)
-    if not has_faces and volumes.has_volume(ob, reader.depsgraph):
+    if not parts and volumes.has_volume(ob, reader.depsgraph):
         return VolumeSource(ob, reader)
-    if not has_faces:
+    if not parts:
         raise SceneError(
             f"'{ob.name}' has neither a volume nor faces; "
             "select a volume, a smoke domain or a mesh."
@@ -156,7 +163,7 @@ def _surface_role(ob, parts):
 
 
 class _Source:
-    """ob, bounds ((lower, upper) in m), and what they put on a lattice.
+    """name of its object, bounds ((lower, upper) in m), and what they put on a lattice.
 
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
@@ -186,7 +193,7 @@ class _GridSource(_Source):
     preset = "cloud"
 
     def __init__(self, ob, reader, material):
-        self.ob, self.reader = ob, reader
+        self.name, self.reader = ob.name, reader
         self.material = reader.volume_optics(ob, [material], self.preset)
         reader.tell_emission(ob, [material])
 
@@ -208,13 +215,17 @@ class VolumeSource(_GridSource):
 
     def __init__(self, ob, reader):
         super().__init__(ob, reader, volumes.volume_material(ob, reader.depsgraph))
-        self.grid = volumes.load_grid(ob, reader.depsgraph, self.grid_name)
+        self.grid = volumes.find_grid(ob, reader.depsgraph, self.grid_name)
         self.matrix = volumes.world_matrix(ob, reader.depsgraph)
-        self.bounds = volumes.world_bounds(self.grid, self.matrix)
+        self.is_in_object_space = volumes.is_in_object_space(ob, reader.depsgraph)
+
+    @property
+    def bounds(self):
+        return volumes.world_bounds(self.grid.vdb, self.matrix)
 
     def shares(self, domain):
-        density = volumes.resample(self.grid, self.matrix, domain)
-        if self.material and volumes.is_in_object_space(self.ob, self.reader.depsgraph):
+        density = volumes.resample(self.grid.vdb, self.matrix, domain)
+        if self.material and self.is_in_object_space:
             density /= np.linalg.norm(self.matrix[:3, :3].sum(axis=1)) / np.sqrt(3)
         return [self.share(density, domain)]
 
@@ -225,27 +236,37 @@ class SmokeSource(_GridSource):
     def __init__(self, ob, reader):
         super().__init__(ob, reader, ob.active_material)
         self.bounds = smoke.world_bounds(ob, reader.depsgraph)
+        self.cells = smoke.read_grid(ob, reader.depsgraph, self.grid_name)
+        # Nor does the preset know the colour of the smoke.
+        self.hue = None if self.material else smoke.hue(ob, reader.depsgraph)
         if smoke.burns(ob, reader.depsgraph):
             reader.notes.append(f"The fire of '{ob.name}' does not light its smoke.")
 
     def shares(self, domain):
-        depsgraph = self.reader.depsgraph
-        density = smoke.smoke_grid(self.ob, depsgraph, domain, self.grid_name)
-        share = self.share(density, domain)
-        if self.material is None:  # nor does the preset know the colour of the smoke
-            share = Share(share.density, tinted(share.optics, smoke.hue(self.ob, depsgraph)))
+        share = self.share(self.cells.on(domain), domain)
+        if self.hue is not None:
+            share = Share(share.density, tinted(share.optics, self.hue))
         return [share]
 
 
 class _SurfaceSource(_Source):
     def __init__(self, ob, parts, reader):
-        self.ob, self.parts, self.reader = ob, parts, reader
-        self.bounds = voxelize.world_bounds(parts)
+        self.name, self.reader = ob.name, reader
+        self.faces = [part.faces for part in parts]
         if self.shows_light and ob.type == "MESH" and any(part.instanced for part in parts):
             reader.notes.append(
                 f"The instances of '{ob.name}' shade and colour the light, but show none of it "
                 "themselves; make them real to light them."
             )
+
+    @cached_property
+    def bounds(self):
+        return voxelize.world_bounds(self.faces)
+
+    @property
+    def triangles(self):
+        """(n, 3, 3) m, of all its faces."""
+        return np.concatenate([faces.triangles for faces in self.faces])
 
 
 class FoliageSource(_SurfaceSource):
@@ -253,18 +274,26 @@ class FoliageSource(_SurfaceSource):
 
     shows_light = True
 
+    def __init__(self, ob, parts, reader):
+        super().__init__(ob, parts, reader)
+        self.leaves = [self._leaf(part.material) for part in parts]
+
+    def _leaf(self, material):
+        """(share of the faces that is not a hole, Optics at 1/m of extinction)."""
+        if self.reader.medium != FROM_MATERIAL:
+            return 1.0, _scaled(PRESETS[self.reader.medium], 1.0)
+        leaf = leaf_optics(material)
+        return leaf.coverage, leaf.optics
+
     def shares(self, domain):
-        return [self._share(part, domain) for part in self.parts if len(part.triangles)]
+        return [
+            self._share(faces, *leaf, domain)
+            for faces, leaf in zip(self.faces, self.leaves, strict=True)
+        ]
 
-    def _share(self, part, domain):
-        if self.reader.medium == FROM_MATERIAL:
-            leaf = leaf_optics(part.material)
-            coverage, optics = leaf.coverage, leaf.optics
-        else:
-            coverage, optics = 1.0, _scaled(PRESETS[self.reader.medium], 1.0)
-
+    def _share(self, faces, coverage, optics, domain):
         def density(direction=None):
-            return voxelize.foliage_density(part, domain, direction) * coverage
+            return voxelize.foliage_density(faces, domain, direction) * coverage
 
         return Share(density(), optics, density)
 
@@ -276,8 +305,9 @@ class SolidSource(_SurfaceSource):
     is_body = True
 
     def __init__(self, ob, parts, reader):
-        super().__init__(ob, parts, reader)
         materials = [part.material for part in parts]
+        self.shows_light = any(map(has_surface, materials))
+        super().__init__(ob, parts, reader)
         self.material = reader.volume_optics(ob, materials, self.preset)
         if self.is_volume:
             reader.tell_emission(ob, materials)
@@ -286,12 +316,8 @@ class SolidSource(_SurfaceSource):
     def is_volume(self):
         return not self.shows_light
 
-    @property
-    def shows_light(self):
-        return any(has_surface(part.material) for part in self.parts)
-
     def shares(self, domain):
-        fraction = voxelize.solid_fraction(_triangles(self.parts), domain)
+        fraction = voxelize.solid_fraction(self.triangles, domain)
         if self.material is None:
             return [Share(fraction, self.reader.preset(self.preset, _longest(domain)))]
         return [Share(fraction, self.material.optics)]
@@ -305,18 +331,20 @@ class OccluderSource(_SurfaceSource):
 
     def __init__(self, ob, parts, reader):
         super().__init__(ob, parts, reader)
-        self.color = reader.occluder_color(ob, parts)
+        self.colors = reader.occluder_colors(ob, parts)
 
     def occlusion(self, domain):
-        triangles = _triangles(self.parts)
+        triangles = self.triangles
         if voxelize.longest_edge(triangles) > COARSEST * domain.voxel_size:
             self.shows_light = False
             self.reader.notes.append(
-                f"'{self.ob.name}' shows none of the light, for its faces are larger than "
+                f"'{self.name}' shows none of the light, for its faces are larger than "
                 f"{COARSEST} voxels; subdivide it to light it."
             )
-        closed = np.concatenate([part.closed for part in self.parts])
-        return voxelize.opaque_share(triangles, closed, domain), self.color
+        closed = np.concatenate([faces.closed for faces in self.faces])
+        areas = [faces.area for faces in self.faces]
+        color = np.average(self.colors, axis=0, weights=areas if any(areas) else None)
+        return voxelize.opaque_share(triangles, closed, domain), color
 
 
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}
@@ -424,10 +452,6 @@ def _scaled(optics, largest):
     sigma_s, sigma_a = np.atleast_1d(optics.sigma_s), np.atleast_1d(optics.sigma_a)
     factor = largest / (sigma_s + sigma_a).max()
     return Optics(tuple(sigma_s * factor), tuple(sigma_a * factor), optics.g)
-
-
-def _triangles(parts):
-    return np.concatenate([part.triangles for part in parts])
 
 
 def _longest(domain):

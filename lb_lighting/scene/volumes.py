@@ -2,6 +2,8 @@
 """Volume grids, from files, sequences and geometry nodes, and any grid onto the lattice."""
 
 import tempfile
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 
@@ -13,14 +15,44 @@ from ..errors import SceneError
 SLAB = 1 << 17  # samples taken at once: few enough for the cache
 
 
+@dataclass(frozen=True)
+class Grid:
+    """A grid by its name in a .vdb file, read when it is needed, or one that no file has.
+
+    path  of the file, or ""
+    made  the openvdb grid that is in no file, or None
+    """
+
+    name: str
+    path: str = ""
+    made: object = None
+
+    @cached_property
+    def vdb(self):
+        """The openvdb grid."""
+        return openvdb.read(self.path, self.name) if self.made is None else self.made
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A dense grid in the world, values and index_to_world as `resample_array` has them."""
+
+    values: np.ndarray
+    index_to_world: np.ndarray
+
+    def on(self, domain):
+        """(nx, ny, nz) float32: averaged over the voxels of `domain`."""
+        return resample_array(self.values, self.index_to_world, domain)
+
+
 def grid_names(ob, depsgraph):
     """Names of the grids that the original object `ob` shows at the current frame."""
     _geometry, grids = _loaded(ob, depsgraph)
     return [grid.name for grid in grids]
 
 
-def load_grid(ob, depsgraph, name="density"):
-    """The openvdb grid `name` of the original object `ob` at the current frame.
+def find_grid(ob, depsgraph, name="density"):
+    """The `Grid` called `name` of the original object `ob` at the current frame.
 
     Raises SceneError for a file that cannot be read, or a name that does not exist.
     """
@@ -29,11 +61,11 @@ def load_grid(ob, depsgraph, name="density"):
     if name not in names:
         raise SceneError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(names)}.")
     if grids.frame_filepath and not ob.modifiers:
-        return openvdb.read(grids.frame_filepath, name)
+        return Grid(name, grids.frame_filepath)
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder, "evaluated.vdb"))
         geometry.volume.grids.save(filepath=path)
-        return openvdb.read(path, name)
+        return Grid(name, made=openvdb.read(path, name))
 
 
 def has_volume(ob, depsgraph):

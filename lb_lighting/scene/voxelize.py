@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes onto the lattice: their surface area, and the space that they enclose."""
+"""Triangles onto the lattice: their surface area, and the space that they enclose."""
 
-from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
-import bpy
 import numpy as np
 import openvdb
 
@@ -29,65 +28,64 @@ BEHIND = 1e-4  # voxels: how far behind its front a sheet is put, where two voxe
 
 
 @dataclass(frozen=True)
-class Part:
-    """Triangles of one material that an object brings into the scene.
+class Shape:
+    """The triangles of a mesh in its own space.
 
-    triangles  (n, 3, 3) m, float64, world space: triangle, corner, coordinate
-    closed     (n,) bool, whether the triangle is of a surface with small holes at most
-    material   bpy.types.Material or None
-    object     the original object that they come from, or that instances them
-    instanced  whether it instances them
+    points   (n, 3) m, float32
+    corners  (m, 3), the points of each triangle
+    slot     (m,), the material slot of each
     """
 
-    triangles: np.ndarray
-    closed: np.ndarray
-    material: bpy.types.Material | None
-    object: bpy.types.Object
-    instanced: bool
+    points: np.ndarray
+    corners: np.ndarray
+    slot: np.ndarray
+
+    @cached_property
+    def closed(self):
+        """(m,) bool: is the triangle of a surface with small holes at most?"""
+        return _closed(self.points.astype(float), self.corners)
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The triangles of one slot of a shape, where an object has them in the world.
+
+    matrices  (k, 4, 4), the shape's space to world space, for each time that it is there
+    name      of the object
+    """
+
+    shape: Shape
+    slot: int
+    matrices: np.ndarray
+    name: str
+
+    @cached_property
+    def triangles(self):
+        """(n, 3, 3) m, float64: triangle, corner, coordinate.
+
+        Raises SceneError for vertices that are not finite.
+        """
+        own = self.shape.points[self.shape.corners[self._own]].astype(float)
+        return _placed(own, self.matrices, self.name)
+
+    @cached_property
+    def closed(self):
+        """(n,) bool, see `Shape`."""
+        return np.tile(self.shape.closed[self._own], len(self.matrices))
 
     @property
     def area(self):
         """m^2, of one side."""
         return area_of(self.triangles)
 
-
-def world_parts(depsgraph, objects):
-    """[Part]: all evaluated mesh surface that the original `objects` contribute to the scene.
-
-    That is their own mesh (or that of a curve, text or metaball) with modifiers, and everything
-    that they instance: geometry nodes, particles, collections, vertices and faces.
-    Raises SceneError for vertices that are not finite.
-    """
-    chosen = set(objects)
-    meshes = {}
-    matrices = defaultdict(list)
-    for instance in depsgraph.object_instances:
-        source = (instance.parent if instance.is_instance else instance.object).original
-        ob = instance.object
-        if source not in chosen or not instance.show_self or ob.type != "MESH":
-            continue
-        materials = _materials(ob)
-        key = source, ob.data.as_pointer(), materials, instance.is_instance
-        if key not in meshes:
-            meshes[key] = _triangles_by_slot(ob.data, len(materials))
-        matrices[key].append([tuple(row) for row in instance.matrix_world])
-    return [
-        Part(
-            _placed(triangles, np.array(matrices[key]), source),
-            np.tile(closed, len(matrices[key])),
-            materials[slot],
-            source,
-            instanced,
-        )
-        for key, slots in meshes.items()
-        for source, _mesh, materials, instanced in [key]
-        for slot, triangles, closed in slots
-    ]
+    @property
+    def _own(self):
+        return self.shape.slot == self.slot
 
 
-def world_bounds(parts):
+def world_bounds(faces):
     """(lower, upper), each (3,) m, of all triangles; SceneError where there are none."""
-    corners = [part.triangles.reshape(-1, 3) for part in parts]
+    corners = [some.triangles.reshape(-1, 3) for some in faces]
     if not sum(map(len, corners)):
         raise SceneError("The selection has no faces; select a mesh that has some.")
     return (
@@ -128,26 +126,26 @@ def surface_area(triangles, domain, weight=None, samples=SAMPLES_PER_VOXEL):
     return area[1:-1, 1:-1, 1:-1] * domain.voxel_size**2
 
 
-def foliage_density(part, domain, direction=None):
+def foliage_density(faces, domain, direction=None):
     """(nx, ny, nz) 1/m: the extinction coefficient of opaque leaves.
 
-    part       a `Part`
+    faces      `Faces`
     direction  (3,), unit vector along which the light travels, or None for the mean over all
 
     A leaf of area A and normal n shows A |n . direction|, which is A/2 on average over its
     orientations (Ross, The Radiation Regime and Architecture of Plant Stands, 1981). A closed body,
     such as wood, shows half of that, because light meets two of its faces where it could meet one.
     """
-    shown = 0.5 if direction is None else np.abs(_normals(part.triangles) @ direction)
-    weight = shown * np.where(part.closed, 0.5, 1.0)
-    return surface_area(part.triangles, domain, weight) / domain.voxel_size**3
+    shown = 0.5 if direction is None else np.abs(_normals(faces.triangles) @ direction)
+    weight = shown * np.where(faces.closed, 0.5, 1.0)
+    return surface_area(faces.triangles, domain, weight) / domain.voxel_size**3
 
 
 def opaque_share(triangles, closed, domain):
     """(nx, ny, nz), 0 to 1: the share of the light that comes to a voxel which the surface stops.
 
     triangles  (n, 3, 3) m, world space
-    closed     (n,) bool, see `Part`
+    closed     (n,) bool, see `Shape`
 
     It is at least the share of the voxel inside of closed bodies. Where one is much thinner than a
     voxel, a surface S shows S/4 on average of the 6 h^2/4 that the voxel shows. An open sheet
@@ -197,26 +195,8 @@ def _enclosed_fraction(triangles, domain):
     return None
 
 
-def _materials(ob):
-    """The original materials of an evaluated object by slot; a bare mesh has one empty slot."""
-    # Curves, texts and metaballs turn up as temporary mesh objects that have no slots.
-    slots = [slot.material for slot in ob.material_slots] or ob.data.materials
-    return tuple(m and m.original for m in slots) or (None,)
-
-
-def _triangles_by_slot(mesh, slots):
-    """[(slot, (n, 3, 3) m in object space, closed (n,))] for every slot that has faces."""
-    mesh.calc_loop_triangles()
-    points = _read(mesh.vertices, "co", np.float32, 3).astype(float)
-    corners = _read(mesh.loop_triangles, "vertices", np.int32, 3)
-    closed = _closed(points, corners)
-    # Faces that name a slot which is not there are drawn with the last one.
-    slot = np.minimum(_read(mesh.loop_triangles, "material_index", np.int32, 1)[:, 0], slots - 1)
-    return [(int(i), points[corners[slot == i]], closed[slot == i]) for i in np.unique(slot)]
-
-
 def _closed(points, corners):
-    """(n,) bool: what `Part` calls closed, of triangles between points (vertices, 3) m.
+    """(n,) bool: what `Shape` calls closed, of triangles between points (vertices, 3) m.
 
     corners  (n, 3), the vertices of each triangle
     """
@@ -245,18 +225,12 @@ def _pieces(corners, count):
         piece = joined
 
 
-def _read(collection, attribute, dtype, width):
-    values = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(attribute, values)
-    return values.reshape(-1, width)
-
-
-def _placed(triangles, matrices, ob):
-    """`triangles` (n, 3, 3) of `ob` once for each of the `matrices` (k, 4, 4): (k n, 3, 3)."""
+def _placed(triangles, matrices, name):
+    """`triangles` (n, 3, 3) once for each of the `matrices` (k, 4, 4): (k n, 3, 3)."""
     rotated = triangles.reshape(-1, 3) @ matrices[:, :3, :3].swapaxes(1, 2)
     placed = (rotated + matrices[:, None, :3, 3]).reshape(-1, 3, 3)
     if not np.all(np.isfinite(placed)):
-        raise SceneError(f"'{ob.name}' has vertices that are not finite; repair or delete them.")
+        raise SceneError(f"'{name}' has vertices that are not finite; repair or delete them.")
     return placed
 
 

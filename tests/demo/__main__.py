@@ -16,7 +16,7 @@ import openvdb  # noqa: E402 - only now is it exposed
 import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
-from lb_lighting.output.volume import DENSITY_GRID  # noqa: E402
+from lb_lighting.output.vdb import DENSITY_GRID  # noqa: E402
 from tests.output.rendering import silent_stdout  # noqa: E402
 
 from . import scenes  # noqa: E402

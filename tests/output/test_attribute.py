@@ -7,12 +7,12 @@ import pytest
 from mathutils import Matrix
 
 from lb_lighting.errors import OutputError
+from lb_lighting.output.ambient import irradiance, sample
 from lb_lighting.output.attribute import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,
-    irradiance,
+    read_vertices,
     remove_ambient,
-    sample,
     write_ambient,
 )
 from lb_lighting.transport.field import Field, Report
@@ -67,8 +67,13 @@ def field_of(fluence, flux=None):
 def write(objects, radiance=None, **options):
     """Light from all sides, of that radiance: both sides have it."""
     radiance = linear_field() if radiance is None else radiance
+    write_field(objects, field_of(4 * np.pi * radiance), **options)
+
+
+def write_field(objects, field, **options):
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    write_ambient(objects, depsgraph, field_of(4 * np.pi * radiance), **options)
+    sides = [read_vertices(ob, depsgraph, **options).light(field) for ob in objects]
+    write_ambient(objects, sides)
 
 
 def test_sample_is_exact_on_linear_fields():
@@ -170,14 +175,14 @@ def flux_field():
 def test_sides_follow_the_normals_in_the_world(matrix, up):
     ob = add(slope())
     ob.matrix_world = matrix
-    write_ambient([ob], bpy.context.evaluated_depsgraph_get(), flux_field())
+    write_field([ob], flux_field())
     assert written(ob.data) == pytest.approx((1 / 4 - 0.2 * up) / np.pi)
     assert written(ob.data, BACK_ATTRIBUTE) == pytest.approx((1 / 4 + 0.2 * up) / np.pi)
 
 
 def test_bodies_show_what_comes_out_of_them():
     ob = add(slope())
-    write_ambient([ob], bpy.context.evaluated_depsgraph_get(), flux_field(), bodies=[ob])
+    write_field([ob], flux_field(), is_body=True)
     for name in (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE):
         assert written(ob.data, name) == pytest.approx((1 / 4 + 0.2 * np.sqrt(1 / 2)) / np.pi)
 
@@ -239,9 +244,16 @@ def test_what_is_not_a_mesh_is_refused_before_anything_is_written():
     mesh = add(triangle())
     empty = add(None, "nothing")
     with pytest.raises(OutputError, match="nothing is not a mesh"):
-        write([mesh, empty])
+        write_ambient([mesh, empty], [np.ones((2, 3, 1)), np.ones((2, 0, 1))])
     assert AMBIENT_ATTRIBUTE not in mesh.data.attributes
     remove_ambient(empty)
+
+
+def test_a_mesh_that_was_changed_meanwhile_is_refused_before_anything_is_written():
+    whole, cut = add(triangle()), add(triangle(), "cut")
+    with pytest.raises(OutputError, match=r"^The mesh of cut was changed while it was lit; bake"):
+        write_ambient([whole, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
+    assert AMBIENT_ATTRIBUTE not in whole.data.attributes
 
 
 def test_edit_mode_is_refused():

@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 from mathutils import Euler, Vector
 
-from lb_lighting.output.attribute import write_ambient
+from lb_lighting.output.attribute import read_vertices, write_ambient
 from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
-from lb_lighting.output.volume import (
-    DENSITY_GRID,
-    baked_volumes,
-    direct_grid,
-    flux_grid,
-    fresh_path,
-    show_volume,
-    write_vdb,
-)
+from lb_lighting.output.vdb import DENSITY_GRID, direct_grid, flux_grid, write_vdb
+from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
 from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights import PointLight, Sun
 from lb_lighting.transport.medium import Domain
@@ -347,7 +340,8 @@ def light_plane(ob, radiance, flux=0.0):
     upwards = np.zeros((3, 3, *BOX.shape))
     upwards[:, 2] = flux
     field = Field(BOX, fluence, 0 * fluence, upwards, Report("physical", "none"))
-    write_ambient([ob], bpy.context.evaluated_depsgraph_get(), field)
+    vertices = read_vertices(ob, bpy.context.evaluated_depsgraph_get())
+    write_ambient([ob], [vertices.light(field)])
     wire_ambient(ob.active_material, strength=2.0)
 
 

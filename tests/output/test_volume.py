@@ -10,23 +10,25 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import OutputError
-from lb_lighting.output.volume import (
+from lb_lighting.output.vdb import (
     DENSITY_GRID,
     LIGHT_GRID,
+    direct_grid,
+    flux_grid,
+    read_metadata,
+    volume_light,
+    write_vdb,
+)
+from lb_lighting.output.volume import (
     baked_path,
     baked_volumes,
     default_folder,
     delete_baked_file,
-    direct_grid,
-    flux_grid,
     forget,
     lost_sources,
-    read_metadata,
     remove_baked,
     show_volume,
     sources_of,
-    volume_light,
-    write_vdb,
 )
 from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights import PointLight, Sky, Sun

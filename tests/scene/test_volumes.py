@@ -76,9 +76,9 @@ class TestSources:
         openvdb.write(str(path), [make_grid(values), make_grid(np.ones((4, 4, 4, 3)), "color")])
         ob = add_volume(path)
         assert sorted(volumes.grid_names(ob, depsgraph())) == ["color", "density"]
-        assert volumes.load_grid(ob, depsgraph(), "color").background == (0, 0, 0)
+        assert volumes.find_grid(ob, depsgraph(), "color").vdb.background == (0, 0, 0)
         found = np.empty_like(values, np.float32)
-        volumes.load_grid(ob, depsgraph()).copyToArray(found)
+        volumes.find_grid(ob, depsgraph()).vdb.copyToArray(found)
         assert found == pytest.approx(values)
 
     def test_sequence_at_the_current_frame(self, tmp_path):
@@ -89,7 +89,7 @@ class TestSources:
         ob.data.is_sequence, ob.data.frame_duration = True, 3
         for frame in (2, 3):
             bpy.context.scene.frame_set(frame)
-            assert volumes.load_grid(ob, depsgraph()).evalMinMax()[1] == frame
+            assert volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == frame
 
     @pytest.mark.parametrize("kind", ["volume", "mesh"])
     def test_made_by_geometry_nodes(self, kind):
@@ -100,7 +100,7 @@ class TestSources:
         make_fog_cube(ob)
         ob.matrix_world = Matrix.Translation((5, 0, 0))
         assert volumes.grid_names(ob, depsgraph()) == ["density"]
-        grid = volumes.load_grid(ob, depsgraph())
+        grid = volumes.find_grid(ob, depsgraph()).vdb
         domain = Domain((3.5, -1.5, -1.5), 0.1, (30, 30, 30))
         values = volumes.resample(grid, ob.matrix_world, domain)
         assert values.max() == pytest.approx(3)
@@ -110,18 +110,18 @@ class TestSources:
         openvdb.write(str(tmp_path / "file.vdb"), [make_grid(np.ones((4, 4, 4)))])
         ob = add_volume(tmp_path / "file.vdb")
         make_fog_cube(ob)
-        assert volumes.load_grid(ob, depsgraph()).evalMinMax()[1] == 3
+        assert volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == 3
 
     def test_missing_file_is_named(self, tmp_path):
         ob = add_volume(tmp_path / "gone.vdb")
         with pytest.raises(SceneError, match=r"gone\.vdb"):
-            volumes.load_grid(ob, depsgraph())
+            volumes.find_grid(ob, depsgraph())
 
     def test_unknown_grid_lists_those_that_exist(self, tmp_path):
         path = tmp_path / "blob.vdb"
         openvdb.write(str(path), [make_grid(np.ones((4, 4, 4)), n) for n in ("density", "heat")])
         with pytest.raises(SceneError, match=r"no grid 'smoke'.*density.*heat"):
-            volumes.load_grid(add_volume(path), depsgraph(), "smoke")
+            volumes.find_grid(add_volume(path), depsgraph(), "smoke")
 
     def test_volume_without_a_file(self):
         with pytest.raises(SceneError, match="no grids"):

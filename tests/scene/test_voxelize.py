@@ -3,6 +3,7 @@
 
 import time
 from math import pi
+from types import SimpleNamespace
 
 import bmesh
 import bpy
@@ -11,7 +12,7 @@ import pytest
 from mathutils import Euler, Matrix
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene import voxelize
+from lb_lighting.scene import meshes, voxelize
 from lb_lighting.transport.medium import Domain
 
 ROTATED_SCALED = Matrix.LocRotScale((3, -1, 2), Euler((0.4, 0.9, -0.3)), (2, 0.5, 1.3))
@@ -47,16 +48,16 @@ def add_sphere(subdivisions=4):
 
 
 def parts_of(*objects):
-    return voxelize.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
+    return meshes.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
 
 
 def triangles_of(*objects):
-    return np.concatenate([part.triangles for part in parts_of(*objects)])
+    return np.concatenate([part.faces.triangles for part in parts_of(*objects)])
 
 
-def part_of(triangles, closed=False):
-    """A `Part` of triangles that no object has."""
-    return voxelize.Part(triangles, np.full(len(triangles), closed), None, None, False)
+def faces_of(triangles, closed=False):
+    """`Faces` of triangles that no object has."""
+    return SimpleNamespace(triangles=triangles, closed=np.full(len(triangles), closed))
 
 
 def square(half=1.0):
@@ -138,15 +139,15 @@ class TestWorldParts:
         parent.instance_type = "VERTS"
         child = add_object(parent.data, "child")
         child.parent = parent
-        parts = parts_of(parent)
-        assert {part.instanced: len(part.triangles) for part in parts} == {False: 12, True: 96}
+        triangles = {part.instanced: len(part.faces.triangles) for part in parts_of(parent)}
+        assert triangles == {False: 12, True: 96}
 
     def test_vertices_that_are_not_finite(self):
         mesh = add_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
         mesh.vertices[1].co.x = np.nan
-        ob = add_object(mesh, "broken")
+        (part,) = parts_of(add_object(mesh, "broken"))
         with pytest.raises(SceneError, match=r"^'broken' has vertices that are not finite; repair"):
-            parts_of(ob)
+            _ = part.faces.triangles
 
     def test_split_by_material_slot(self):
         mesh = add_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0), (5, 5, 0)], [(0, 1, 2), (1, 3, 2)])
@@ -157,7 +158,7 @@ class TestWorldParts:
         ob = add_object(mesh)
         first, second = parts_of(ob)
         assert [first.material, second.material] == materials
-        assert (area_of(first.triangles), area_of(second.triangles)) == pytest.approx((0.5, 4.5))
+        assert [part.faces.area for part in (first, second)] == pytest.approx([0.5, 4.5])
 
     def test_material_of_the_object_wins_over_that_of_the_mesh(self):
         cube = add_cube()
@@ -214,8 +215,8 @@ class TestWorldParts:
         (part,) = parts_of(top)
         assert part.object == top
         assert part.instanced
-        assert part.triangles.mean(axis=(0, 1)) == pytest.approx([0, 0, 6])
-        assert area_of(part.triangles) == pytest.approx(24)
+        assert part.faces.triangles.mean(axis=(0, 1)) == pytest.approx([0, 0, 6])
+        assert area_of(part.faces.triangles) == pytest.approx(24)
 
     def test_particle_instances_without_their_emitter(self):
         cube = add_cube(matrix=Matrix.Translation((0, 0, -50)))
@@ -225,8 +226,8 @@ class TestWorldParts:
         settings.render_type, settings.instance_object = "OBJECT", cube
         emitter.show_instancer_for_viewport = emitter.show_instancer_for_render = False
         (part,) = parts_of(emitter)
-        assert len(part.triangles) == 5 * 12
-        assert part.triangles[..., 2].max() < 5
+        assert len(part.faces.triangles) == 5 * 12
+        assert part.faces.triangles[..., 2].max() < 5
 
     def test_children_on_vertices(self):
         parent = add_object(add_mesh([(0, 0, 0), (4, 0, 0)], []), "parent")
@@ -242,7 +243,7 @@ class TestWorldParts:
         curve.materials.append(bpy.data.materials.new("bark"))
         (part,) = parts_of(add_object(curve))
         assert part.material == curve.materials[0]
-        assert area_of(part.triangles) == pytest.approx(2 * pi * 0.1, rel=0.05)
+        assert area_of(part.faces.triangles) == pytest.approx(2 * pi * 0.1, rel=0.05)
 
     def test_hundred_thousand_leaves_in_seconds(self):
         points = np.random.default_rng(0).uniform(-1, 1, (100_000, 3))
@@ -259,17 +260,19 @@ class TestWorldParts:
         geometry_nodes(ob, leaves)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         start = time.perf_counter()
-        (part,) = voxelize.world_parts(depsgraph, [ob])
-        assert len(part.triangles) == 200_000
+        (part,) = meshes.world_parts(depsgraph, [ob])
+        assert len(part.faces.triangles) == 200_000
         assert time.perf_counter() - start < 10
 
     def test_object_without_faces(self):
-        ob = add_object(add_mesh([(0, 0, 0), (1, 0, 0)], []))
+        assert parts_of(add_object(add_mesh([(0, 0, 0), (1, 0, 0)], []))) == []
         with pytest.raises(SceneError, match="no faces"):
-            voxelize.world_bounds(parts_of(ob))
+            voxelize.world_bounds([])
 
     def test_bounds(self):
-        lower, upper = voxelize.world_bounds(parts_of(add_cube(matrix=Matrix.Scale(4, 4))))
+        lower, upper = voxelize.world_bounds(
+            [part.faces for part in parts_of(add_cube(matrix=Matrix.Scale(4, 4)))]
+        )
         assert (*lower, *upper) == pytest.approx((-2, -2, -2, 2, 2, 2))
 
 
@@ -412,8 +415,8 @@ class TestClosed:
     def test_of_a_shape(self, add, closed):
         add()
         (part,) = parts_of(bpy.context.object)
-        assert part.closed.shape == part.triangles.shape[:1]
-        assert np.all(part.closed == closed)
+        assert part.faces.closed.shape == part.faces.triangles.shape[:1]
+        assert np.all(part.faces.closed == closed)
 
     def test_many_small_holes_are_no_large_one(self):
         """As where the branches of a tree are stuck on: a hundredth of the faces is missing."""
@@ -423,7 +426,7 @@ class TestClosed:
         bmesh.ops.delete(shape, geom=list(shape.faces)[::100], context="FACES")
         shape.to_mesh(ball)
         (part,) = parts_of(bpy.context.object)
-        assert part.closed.all()
+        assert part.faces.closed.all()
 
     def test_each_piece_of_a_mesh_is_told_apart_wherever_it_is_instanced(self):
         parent = add_object(add_mesh([(0, 0, 0), (9, 0, 0)], []), "parent")
@@ -434,8 +437,8 @@ class TestClosed:
             bpy.ops.object.join()
         cube.parent = parent
         (part,) = parts_of(parent)
-        sheets = part.triangles[~part.closed]
-        assert (len(part.triangles), len(sheets)) == (26, 2)
+        sheets = part.faces.triangles[~part.faces.closed]
+        assert (len(part.faces.triangles), len(sheets)) == (26, 2)
         assert sheets[..., 0].min() == pytest.approx(5)
 
 
@@ -444,19 +447,19 @@ class TestFoliageDensity:
 
     def test_is_half_the_area_per_volume(self):
         leaf = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]) + 0.1
-        density = voxelize.foliage_density(part_of(leaf[None]), self.DOMAIN)
+        density = voxelize.foliage_density(faces_of(leaf[None]), self.DOMAIN)
         assert density[2, 2, 2] == pytest.approx(0.005 / 0.125 / 2)
 
     def test_of_a_closed_body_is_what_it_shows_on_average(self):
         """S/4 for any convex body (Cauchy)."""
         sphere = 0.1 * triangles_of(add_sphere()) + 0.25
-        density = voxelize.foliage_density(part_of(sphere, closed=True), self.DOMAIN)
+        density = voxelize.foliage_density(faces_of(sphere, closed=True), self.DOMAIN)
         assert density[2, 2, 2] == pytest.approx(np.pi * 0.1**2 / 0.125, rel=0.01)
 
     @pytest.mark.parametrize("closed", [True, False])
     def test_towards_a_light_is_the_projected_area(self, closed):
         tilted = turned(0.2 * square() + 0.1, (0.6, 0, 0))
-        density = voxelize.foliage_density(part_of(tilted, closed), self.DOMAIN, (0, 0, -1))
+        density = voxelize.foliage_density(faces_of(tilted, closed), self.DOMAIN, (0, 0, -1))
         shown = 0.4**2 * np.cos(0.6) / (2 if closed else 1)
         assert density.sum() * 0.125 == pytest.approx(shown, rel=1e-3)
 
@@ -465,9 +468,9 @@ class TestFoliageDensity:
         height = (np.arange(1000) + 0.5) / 500 - 1  # a spiral around the sphere
         turn, radius = 2.399963 * np.arange(1000), np.sqrt(1 - height**2)
         directions = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
-        part = part_of(tilted)
-        each = [voxelize.foliage_density(part, self.DOMAIN, d).sum() for d in directions]
-        isotropic = voxelize.foliage_density(part, self.DOMAIN).sum()
+        faces = faces_of(tilted)
+        each = [voxelize.foliage_density(faces, self.DOMAIN, d).sum() for d in directions]
+        isotropic = voxelize.foliage_density(faces, self.DOMAIN).sum()
         assert np.mean(each) == pytest.approx(isotropic, rel=0.01)
 
 

@@ -8,8 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting.bake import Options
-from lb_lighting.output.shading import MODES
+from lb_lighting.options import MODES, Options
 from lb_lighting.output.volume import baked_volumes
 from lb_lighting.scene.sources import FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the user chooses; the scene's properties and the command line carry the same names."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .errors import SettingsError, require_known
+from .scene.sources import FROM_MATERIAL
+from .transport.medium import PRESETS
+from .transport.solver import MODELS, Settings
+
+MODES = ("REPLACE", "ADD")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The choices for a bake. Raises SettingsError for what is unknown or out of its range."""
+
+    resolution: int = 64  # voxels along the longest edge, padding included
+    padding: int = 2  # empty voxels around the selection
+    domain: str = ""  # name of an object whose bounds to light, or "" for the selection's
+    medium: str = FROM_MATERIAL  # or the name of a preset
+    optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
+    grid: str = ""  # grid to read from volumes, or "" for the material's
+    model: str = "physical"  # or "paper"
+    handover: float = 0.0  # transport optical depths that photons are traced for, by "physical"
+    mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
+    strength: float = 1.0  # factor on the light in the render
+    keep_absorbed: bool = False  # emit absorbed light again, by "paper"
+    device: str = ""  # part of a device's label, or "" for the best
+    folder: str = ""  # where the .vdb goes, or "" for the .blend's own folder
+
+    def __post_init__(self):
+        for value, known, what in (
+            (self.medium, (FROM_MATERIAL, *PRESETS), "medium"),
+            (self.model, tuple(MODELS), "model"),
+            (self.mode, MODES, "mode"),
+        ):
+            require_known(value, known, what)
+        if self.padding < 1:
+            raise SettingsError(f"The padding must be 1 voxel or more; it is {self.padding}.")
+        if not (self.optical_depth > 0 and np.isfinite(self.optical_depth)):
+            raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
+        if not (self.strength >= 0 and np.isfinite(self.strength)):
+            raise SettingsError(f"The strength must not be negative; it is {self.strength}.")
+        self.settings()  # refuses the others
+
+    def settings(self):
+        """The solver's `Settings`."""
+        return Settings(model=self.model, handover=self.handover, keep_absorbed=self.keep_absorbed)
+
+    @classmethod
+    def of(cls, scene, **changes):
+        """The scene's own, with `changes` where they are not None."""
+        values = {f.name: getattr(scene.lb_lighting, f.name) for f in fields(cls)}
+        values["domain"] = values["domain"].name if values["domain"] else ""
+        return cls(**values | {name: v for name, v in changes.items() if v is not None})

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scattered light that falls on vertices. Needs no Blender."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+STAND_OFF = 0.75  # voxels in front of a wall: where its light is taken, not from its other side
+LEAST_OPEN = 1e-3  # share of the voxels around a point, below which it is dark
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """The vertices of a surface that is to show light.
+
+    points   (n, 3) m, in the space of its object
+    normals  (n, 3), likewise
+    to_world (4, 4), from there to world space
+    is_body  whether it is filled with light: both sides show what comes out of it
+    is_wall  whether it stops all light: its two sides are lit apart from each other
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    to_world: np.ndarray
+    is_body: bool = False
+    is_wall: bool = False
+
+    def light(self, field, occlusion=None):
+        """(2, n, bands): irradiance / pi of the front and of the back, W/(m^2 sr).
+
+        field      a `Field`: its fluence and flux are what shows; unscattered light is Cycles' own
+        occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
+        """
+        points, normals = self._in_world()
+        off = STAND_OFF * field.domain.voxel_size * normals if self.is_wall else 0
+        front, _ = irradiance(field, points + off, normals, occlusion)
+        _, back = irradiance(field, points - off, normals, occlusion)
+        return np.array((back, back) if self.is_body else (front, back)) / np.pi
+
+    def _in_world(self):
+        """(points (n, 3) m, unit normals (n, 3)) in world space."""
+        turn = self.to_world[:3, :3]
+        # Normals turn with the cofactors, which exist for what is scaled flat, too.
+        cofactors = np.cross(np.roll(turn, -1, axis=0), np.roll(turn, -2, axis=0))
+        # Cycles keeps the front of what is mirrored.
+        cofactors *= np.copysign(1, np.linalg.det(turn))
+        normals = self.normals @ cofactors.T
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.maximum(length, np.finfo(float).tiny)
+        return self.points @ turn.T + self.to_world[:3, 3], normals
+
+
+def irradiance(field, points, normals, occlusion=None):
+    """(front, back), each (n, bands) W/m^2: what falls on surfaces from the scattered light.
+
+    points, normals  (n, 3) m and unit vectors, world space
+    occlusion        (nx, ny, nz) or None: what of each voxel holds no light
+
+    Radiance is taken to be linear in direction, with the moments phi (fluence) and J (flux): then
+    what arrives at the side of the normal n is phi/4 - J.n/2, which cannot be negative.
+    """
+    bands = len(field.fluence)
+    moments = np.concatenate([field.fluence, field.flux.reshape(3 * bands, *field.domain.shape)])
+    moments = sample(field.domain, moments, points)
+    if occlusion is not None:  # voxels count by what of them is open
+        moments /= np.maximum(sample(field.domain, 1 - occlusion[None], points), LEAST_OPEN)
+    fluence, flux = moments[:, :bands], moments[:, bands:].reshape(-1, bands, 3)
+    along = np.einsum("nba,na->nb", flux, normals)
+    return np.maximum(0, fluence / 4 - along / 2), np.maximum(0, fluence / 4 + along / 2)
+
+
+def sample(domain, values, points):
+    """Trilinear samples of a voxel field; outside of the domain, the value at its border.
+
+    values  (bands, nx, ny, nz), at the voxel centres of `domain`
+    points  (n, 3) m, world space
+    Returns (n, bands).
+    """
+    last = np.subtract(domain.shape, 1)
+    position = np.clip(domain.to_index(points), 0, last)
+    low = np.floor(position).astype(int)
+    fraction = position - low
+    result = np.zeros((len(position), len(values)))
+    for corner in itertools.product((0, 1), repeat=3):
+        weight = np.where(corner, fraction, 1 - fraction).prod(axis=1)
+        x, y, z = np.minimum(low + corner, last).T
+        result += weight[:, None] * values[:, x, y, z].T
+    return result

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the solver's process is asked to do. Each task crosses to it as a pickle, see worker.py.
+
+Needs no Blender.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from . import exchange
+from .errors import SceneError
+from .options import Options
+from .output.vdb import unfinished, volume_light, write_vdb
+from .scene.sources import mixture, occluders, with_shadows
+from .transport import device
+from .transport.field import Report
+from .transport.medium import Domain, Medium, Optics, paper_units
+from .transport.solver import require_memory, solve
+
+SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
+FIELD = "field"
+# Where on its way a bake is when the solve begins, and when it ends.
+SOLVE, WRITE = 0.1, 0.9
+
+
+class Devices:
+    """List the devices that can solve, the default first."""
+
+    def run(self, _tell, _folder):
+        """[str], a line each."""
+        return [found.line for found in device.devices()]
+
+
+@dataclass
+class Problem:
+    """A scene as the solver sees it.
+
+    medium  in SI units
+    shown   (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone,
+            where there are any, for surfaces show their light themselves
+    lights  transport lights
+    """
+
+    medium: Medium
+    shown: tuple
+    lights: list
+
+
+@dataclass
+class Lit:
+    """What lighting a scene came to.
+
+    domain   the `Domain` of the solve
+    report   the solver's
+    beams    the `Sun` and `PointLight` of each grid of unscattered light in the file
+    optics   what the lit volume renders at density 1
+    ambient  {number of the source: (2, vertices, bands) W/(m^2 sr)}, see output/ambient.py
+    notes    sentences that the user should read
+    """
+
+    domain: Domain
+    report: Report
+    beams: list
+    optics: Optics
+    ambient: dict
+    notes: list
+
+
+@dataclass
+class Light:
+    """Light a scene: fill its voxels, solve, write the file.
+
+    options   `Options`
+    sources   see scene/sources.py
+    reader    what they were read by, which knows the presets
+    lights    [light], see transport/lights.py
+    box       (lower, upper), each (3,) m, to light, or None for the bounds of the sources
+    surfaces  {number of the source: `Vertices`} that are to show their light
+    path      of the .vdb
+    facts     {name: value} that the file is to carry, besides options, report and coefficients
+    """
+
+    options: Options
+    sources: list
+    reader: object
+    lights: list
+    box: tuple | None
+    surfaces: dict
+    path: str
+    facts: dict
+
+    @property
+    def scraps(self):
+        """The files that are there only in part, or in vain, where the task does not end well."""
+        return [self.path, unfinished(self.path)]
+
+    def run(self, tell, folder):
+        """A `Lit`; the `Field` goes to the file FIELD in `folder`."""
+        tell(stage="Filling voxels", fraction=0.0)
+        problem = self.problem()
+        field = self._solve(problem, tell)
+        tell(stage="Writing", fraction=WRITE)
+        beams = self._write(problem, field)
+        # The paper's opaque voxels are not dark, they only send on less of their light.
+        occlusion = None if self.options.model == "paper" else problem.medium.occlusion
+        ambient = {
+            number: vertices.light(field, occlusion)
+            for number, vertices in self.surfaces.items()
+            if self.sources[number].shows_light
+        }
+        exchange.save(folder / FIELD, field)
+        optics = problem.shown[1]
+        return Lit(field.domain, field.report, beams, optics, ambient, self.reader.notes)
+
+    def problem(self):
+        """The `Problem` that the scene poses."""
+        domain = self._domain()
+        shares = {source: source.shares(domain) for source in self.sources}
+        occlusions = [o for source in self.sources if (o := source.occlusion(domain)) is not None]
+        everything = [share for own in shares.values() for share in own]
+        density, optics = self.reader.mixture(everything)
+        occlusion, albedo = occluders(occlusions) if occlusions else (None, np.zeros(1))
+        bands = _bands(optics, self.lights, albedo)
+        volumes = [share for source, own in shares.items() for share in own if source.is_volume]
+        medium = Medium(
+            density,
+            domain.voxel_size,
+            *(np.broadcast_to(v, bands) for v in (optics.sigma_s, optics.sigma_a)),
+            optics.g,
+            domain.origin,
+            occlusion=occlusion,
+            occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
+        )
+        shown = mixture(volumes) if volumes else (density, optics)
+        return Problem(medium, shown, with_shadows(self.lights, everything))
+
+    def _domain(self):
+        corners = np.concatenate([self.box] if self.box else [s.bounds for s in self.sources])
+        padding, resolution = self.options.padding, self.options.resolution
+        domain = Domain.around(corners.min(axis=0), corners.max(axis=0), resolution, padding)
+        require_memory(domain.shape, self.options.settings(), self.options.device)
+        if domain.voxel_size < SMALLEST_VOXEL:
+            raise SceneError(
+                f"Voxels of {domain.voxel_size:.1g} m are too small for a volume file; "
+                "scale the scene up."
+            )
+        return domain
+
+    def _solve(self, problem, tell):
+        def progress(_stage, fraction):
+            tell(stage="Solving", fraction=SOLVE + (WRITE - SOLVE) * fraction)
+
+        is_paper = self.options.model == "paper"
+        medium = paper_units(problem.medium) if is_paper else problem.medium
+        wanted = self.options.device or None
+        field = solve(medium, problem.lights, self.options.settings(), wanted, progress)
+        if not field.report.converged:
+            self.reader.notes.append(
+                f"The light had not settled after {field.report.steps} steps and may be too dark; "
+                "a lower resolution settles sooner."
+            )
+        if field.report.device.startswith("NumPy"):
+            self.reader.notes.append(
+                "Solved with NumPy; an OpenCL driver for your processor or graphics card is faster."
+            )
+        return field
+
+    def _write(self, problem, field):
+        """Write the .vdb; the beams that it has grids of."""
+        light, others, beams = volume_light(field, problem.lights, self.options.mode)
+        stamp = self._stamp(problem.medium, field.report)
+        write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others)
+        return beams
+
+    def _stamp(self, medium, report):
+        """What the file was made of and how, flat, for its metadata."""
+        told = {name: value for name, value in asdict(report).items() if np.isscalar(value)}
+        coefficients = {
+            name: " ".join(f"{value:g}" for value in getattr(medium, name))
+            for name in ("sigma_s", "sigma_a", "g")
+        }
+        spent = {"seconds": sum(report.seconds.values())}
+        return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
+
+
+def _bands(optics, lights, albedo):
+    """3 where a coefficient, a light or an occluder has a colour, else 1."""
+    values = [optics.sigma_s, optics.sigma_a, optics.g]
+    values += [light.spectrum for light in lights]
+    return max(len(albedo), *(np.size(value) for value in values))

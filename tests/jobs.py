@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tasks that behave in ways that a process of its own has to be proof against."""
+
+import os
+import time
+from dataclasses import dataclass
+
+from lb_lighting.errors import DeviceError
+from lb_lighting.transport.solver import solve
+
+
+@dataclass
+class Solve:
+    """Solve a medium, tell how far it is, return the field."""
+
+    medium: object
+    lights: list
+    settings: object
+    device: str | None = None
+
+    def run(self, tell, _folder):
+        def progress(stage, fraction):
+            tell(stage=stage, fraction=fraction)
+
+        return solve(self.medium, self.lights, self.settings, self.device, progress)
+
+
+@dataclass
+class Idle:
+    """Tell where it is, and work for a minute."""
+
+    scraps: tuple = ()
+
+    def run(self, tell, _folder):
+        tell(stage="idle", fraction=0.5)
+        time.sleep(60)
+
+
+@dataclass
+class Fail:
+    """Raise `error`."""
+
+    error: Exception
+
+    def run(self, _tell, _folder):
+        raise self.error
+
+
+class Chatter:
+    """Print as drivers do, and return a number."""
+
+    def run(self, tell, _folder):
+        print("chatter")
+        os.write(1, b"chatter of a driver")
+        tell(stage="talk", fraction=1.0)
+        return 42
+
+
+def refused():
+    """An error as the worker may raise it."""
+    return DeviceError("The device is asleep; wake it.")
