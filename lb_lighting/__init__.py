@@ -7,9 +7,9 @@
 
 def _modules():
     from . import cli
-    from .ui import operators, panels, properties
+    from .ui import operators, panels, properties, running
 
-    return (properties, operators, panels, cli)
+    return (properties, running, operators, panels, cli)
 
 
 def register():

@@ -24,7 +24,10 @@ from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks import FIELD, Light, Lit
 
-__all__ = ["Baking", "Options", "Outcome", "bake", "clear", "gather", "sources_of"]
+__all__ = [
+    "Baking", "Options", "Outcome", "apply", "bake", "clear", "folder_of", "gather", "run",
+    "sources_of",
+]  # fmt: skip
 
 
 @dataclass
@@ -46,6 +49,18 @@ class Outcome:
             f"{sum(report.seconds.values()):.1f} s on {report.device}"
         )
 
+    @property
+    def facts(self):
+        """[line]: what the bake came to, for the panel."""
+        report, seconds = self.lit.report, self.lit.report.seconds
+        shape = " x ".join(map(str, self.lit.domain.shape))
+        return [
+            f"{shape} voxels of {self.lit.domain.voxel_size:.3g} m, bands: {report.runs}",
+            f"{sum(seconds.values()):.1f} s on {report.device}",
+            f"{report.steps} steps, {report.corrections} corrections, "
+            f"settled to {report.residual:.1%}",
+        ]
+
     @cached_property
     def field(self):
         """The `Field`, which is read only now: it is large, and most have no use for it."""
@@ -58,37 +73,69 @@ def bake(context, objects, options, progress=None):
     progress  called as progress(stage, fraction)
     Returns an `Outcome`. Raises a LightingError, and then the scene is as it was.
     """
-    baking = Baking(context, objects, options)
-    baking.job.wait(progress)
-    return baking.apply(context)
+    return run(Baking(context, objects, options), context, progress)
+
+
+def run(baking, context, progress=None):
+    """Bring a `Baking` or a `Sequence` to its end; its `Outcome`. Raises as they do."""
+    told = None
+    while True:
+        try:
+            while not baking.update(wait=0.5):
+                if progress is not None and baking.status != told:
+                    told = baking.status
+                    progress(*told)
+        except BaseException:  # also where the caller stops listening: no orphan is left
+            baking.cancel()
+            raise
+        outcome = baking.apply(context)
+        if outcome is not None:
+            return outcome
 
 
 class Baking:
-    """A bake under way: `job` tells how far it is, and when it is done `apply` is to be called.
+    """A bake under way: when `update` says that it is done, `apply` is to be called.
 
     Objects may be renamed, moved, hidden or deleted meanwhile, undone and redone: they are known by
     the number that Blender gives them for the session.
     """
 
-    def __init__(self, context, objects, options):
-        """Read the scene and start; raises as `gather` does."""
+    def __init__(self, context, objects, options, frames=None):
+        """Read the scene and start; raises as `gather` does.
+
+        frames  the `Frames` that this is one of, or None
+        """
         objects = sources_of(context.scene, objects)
         _refuse_unwritable(objects, options)
-        self.options = options
+        self.options, self.frames = options, frames
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
-        self.job = Job(gather(context, objects, options))
+        path = frames.path(context.scene.frame_current) if frames else None
+        self.job = Job(gather(context, objects, options, path))
 
     @property
-    def name(self):
-        """Of the first object, as it was at the start."""
-        return self.job.task.sources[0].name
+    def status(self):
+        """(what it is doing, fraction from 0 to 1)."""
+        return self.job.said.get("stage", "Starting"), self.job.said.get("fraction", 0.0)
+
+    @property
+    def seconds_left(self):
+        """An estimate, or None."""
+        return self.job.seconds_left
+
+    def update(self, wait=0.0):
+        """Hear from the solver, waiting up to `wait` s; whether it is done. Raises its errors."""
+        return self.job.update(wait)
+
+    def cancel(self):
+        """End it at once; nothing of it stays."""
+        self.job.cancel()
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
         if bpy.app.is_job_running("RENDER"):
             return "Waits for the render to end"
-        if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in self._found()):
+        if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in self.found()):
             return "Waits for Edit Mode to end"
         return None
 
@@ -99,21 +146,16 @@ class Baking:
             scene, objects = self._require()
             lit = self.job.result()
             with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
-                return self._apply(context, objects, lit)
+                ob = apply(context, objects, self.job.task, lit, self.frames)
+                if len(objects) == 1 and self.frames is None:
+                    volume.follow(ob, objects[0], self.job.task.sources[0].place)
         except BaseException:
             self.job.cancel()
             raise
+        return Outcome(lit, Path(self.job.task.path), lit.notes, self.job)
 
-    def _apply(self, context, objects, lit):
-        task, strength = self.job.task, self.options.strength
-        surfaces = [objects[number] for number in lit.ambient]
-        attribute.write_ambient(surfaces, list(lit.ambient.values()))
-        _show_volume(context, objects, task, lit)
-        for ob in surfaces:
-            shading.light_surface(ob, strength)
-        return Outcome(lit, Path(task.path), lit.notes, self.job)
-
-    def _found(self):
+    def found(self):
+        """The objects as they are now, without those that are gone."""
         wanted = dict.fromkeys(self.objects)
         wanted |= {ob.session_uid: ob for ob in bpy.data.objects if ob.session_uid in wanted}
         return [ob for ob in wanted.values() if ob is not None]
@@ -121,15 +163,18 @@ class Baking:
     def _require(self):
         """(scene, objects) as they are now; SceneError where some are gone."""
         scene = next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
-        objects = [ob for ob in self._found() if scene and ob.name in scene.objects]
+        objects = [ob for ob in self.found() if scene and ob.name in scene.objects]
         if len(objects) < len(self.objects):
             raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
         _refuse_unwritable(objects, self.options)
         return scene, objects
 
 
-def gather(context, objects, options):
-    """The task `Light` that the scene poses at the current frame."""
+def gather(context, objects, options, path=None):
+    """The task `Light` that the scene poses at the current frame.
+
+    path  of the file that it is to write, or None for one that is new
+    """
     with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(depsgraph, options.medium, options.optical_depth, options.grid)
@@ -155,12 +200,27 @@ def gather(context, objects, options):
         lights=lights,
         box=box,
         surfaces=surfaces,
-        path=str(volume.fresh_path(_folder(options), objects[0].name)),
+        path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
             "frame": context.scene.frame_current,
         },
     )
+
+
+def apply(context, objects, task, lit, frames=None):
+    """Let `objects`, the sources of the task `Light`, show the light that it came to, a `Lit`.
+
+    frames  the `Frames` that it is one of, or None
+    Returns the Volume object that shows it. Raises OutputError for what cannot take it; then the
+    scene is as it was.
+    """
+    surfaces = [objects[number] for number in lit.ambient]
+    attribute.write_ambient(surfaces, list(lit.ambient.values()))
+    shown = _show_volume(context, objects, task, lit, frames)
+    for ob in surfaces:
+        shading.light_surface(ob, task.options.strength)
+    return shown
 
 
 def clear(context, delete_files=False):
@@ -226,7 +286,7 @@ def _refuse_unwritable(objects, options):
     meshes = [ob for ob in objects if ob.type == "MESH"]
     attribute.refuse_unwritable(meshes)
     shading.refuse_unwritable(meshes)
-    volume.require_writable(_folder(options))
+    volume.require_writable(folder_of(options))
 
 
 @contextmanager
@@ -256,7 +316,8 @@ def _box(context, name):
     return lower, upper
 
 
-def _folder(options):
+def folder_of(options):
+    """The folder that the files go to."""
     if not options.folder:
         return volume.default_folder()
     return Path(bpy.path.abspath(options.folder)).absolute()
@@ -267,9 +328,9 @@ def _view_layer(context, scene):
     return context.view_layer if context.scene == scene else scene.view_layers[0]
 
 
-def _show_volume(context, objects, task, lit):
+def _show_volume(context, objects, task, lit, frames):
     """A Volume object for the file; it renders only where it stands for volumes."""
-    ob = volume.show_volume(context, objects, task.path)
+    ob = volume.show_volume(context, objects, task.path, frames)
     # An older bake may have had more sources than this one; they have no light now.
     gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects]
     _release(context, gone + volume.lost_sources(context.scene), [])
@@ -288,3 +349,4 @@ def _show_volume(context, objects, task, lit):
             shading.show_source(own)
     if volumes:
         shading.prepare_scene(context.scene)
+    return ob

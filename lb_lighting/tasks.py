@@ -101,6 +101,11 @@ class Light:
         problem = self.problem()
         field = self._solve(problem, tell)
         tell(stage="Writing", fraction=WRITE)
+        exchange.save(folder / FIELD, field)
+        return self.keep(problem, field)
+
+    def keep(self, problem, field):
+        """Write the file of the `Field` that a `Problem` has: a `Lit`."""
         beams = self._write(problem, field)
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
@@ -109,7 +114,6 @@ class Light:
             for number, vertices in self.surfaces.items()
             if self.sources[number].shows_light
         }
-        exchange.save(folder / FIELD, field)
         optics = problem.shown[1]
         return Lit(field.domain, field.report, beams, optics, ambient, self.reader.notes)
 

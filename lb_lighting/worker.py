@@ -64,4 +64,6 @@ def _leave_with_parent(task):
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    code = main(*sys.argv[1:])
+    sys.stderr.flush()
+    os._exit(code)  # drivers and OpenVDB at times crash when Python takes them down

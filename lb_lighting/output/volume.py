@@ -3,9 +3,11 @@
 
 import tempfile
 import uuid
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+from mathutils import Matrix
 
 from ..errors import OutputError
 from .ours import TAG, is_ours
@@ -23,9 +25,42 @@ def fresh_path(folder, source_name):
     return Path(folder) / f"{bpy.path.clean_name(source_name)}_lb_{uuid.uuid4().hex[:8]}.vdb"
 
 
-def show_volume(context, sources, path):
+@dataclass(frozen=True)
+class Frames:
+    """The files of a sequence: one for each frame of the scene.
+
+    folder  that holds them and nothing else
+    """
+
+    folder: Path
+    first: int
+    last: int
+
+    def path(self, frame):
+        """Of the file for a frame; Blender finds the number at its end."""
+        return self.folder / f"frame_{frame:04d}.vdb"
+
+    def __iter__(self):
+        return iter(range(self.first, self.last + 1))
+
+
+def fresh_frames_folder(folder, source_name):
+    """A folder for `Frames` in `folder`, new at every call, as `fresh_path` is."""
+    return fresh_path(folder, source_name).with_suffix("")
+
+
+def frames_folder(scene, sources):
+    """The folder of the `Frames` that show the light of the objects `sources`, or None."""
+    for ob in baked_volumes(scene):
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources):
+            return baked_path(ob).parent
+    return None
+
+
+def show_volume(context, sources, path, frames=None):
     """The Volume object that shows the file at `path` as the light of the objects `sources`.
 
+    frames  the `Frames` that the file is one of, which are all shown, or None
     Sources that had one keep it, and each later bake brings a `fresh_path`; two that had one
     each now share the first. Call `forget` for those that an older bake had and this has not.
     """
@@ -37,7 +72,24 @@ def show_volume(context, sources, path):
     for source in sources:
         source[RESULT] = ob
     ob.data.filepath = _stored_path(path)
+    ob.data.is_sequence = frames is not None
+    if frames is not None:
+        ob.data.frame_start, ob.data.frame_duration = frames.first, frames.last - frames.first + 1
+        ob.data.frame_offset = frames.first - 1  # the number of a file is that of its frame
+    ob.parent = None
+    ob.matrix_world = Matrix()
     return ob
+
+
+def follow(ob, source, place):
+    """Let a baked volume `ob` go where its `source` goes, which was at `place` when it was lit.
+
+    place  (4, 4), to world space
+    """
+    place = Matrix(place)
+    if place.determinant():
+        ob.parent = source
+        ob.matrix_parent_inverse = place.inverted()
 
 
 def baked_volumes(scene):

@@ -163,8 +163,9 @@ def _surface_role(ob, parts):
 
 
 class _Source:
-    """name of its object, bounds ((lower, upper) in m), and what they put on a lattice.
+    """name and place of its object, bounds ((lower, upper) in m), what it puts on a lattice.
 
+    place        (4, 4), the object's space to world space
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
     is_body      whether that light is what comes out of it, not what falls on it
@@ -175,6 +176,10 @@ class _Source:
     shows_light = False
     is_body = False
     is_wall = False
+
+    def __init__(self, ob, reader):
+        self.name, self.reader = ob.name, reader
+        self.place = np.array(ob.evaluated_get(reader.depsgraph).matrix_world)
 
     def shares(self, domain):
         """[Share] on the lattice of `domain`."""
@@ -193,7 +198,7 @@ class _GridSource(_Source):
     preset = "cloud"
 
     def __init__(self, ob, reader, material):
-        self.name, self.reader = ob.name, reader
+        super().__init__(ob, reader)
         self.material = reader.volume_optics(ob, [material], self.preset)
         reader.tell_emission(ob, [material])
 
@@ -251,7 +256,7 @@ class SmokeSource(_GridSource):
 
 class _SurfaceSource(_Source):
     def __init__(self, ob, parts, reader):
-        self.name, self.reader = ob.name, reader
+        super().__init__(ob, reader)
         self.faces = [part.faces for part in parts]
         if self.shows_light and ob.type == "MESH" and any(part.instanced for part in parts):
             reader.notes.append(

@@ -1,45 +1,155 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake and Clear: thin shells over `bake.py`."""
+"""Bake, Bake Animation, Cancel and Clear: thin shells over `bake.py` and `sequence.py`."""
 
 import bpy
 from bpy.props import BoolProperty
 
 from .. import bake
 from ..errors import LightingError
+from ..sequence import Sequence
+from . import running
 
 
-class LB_OT_bake(bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """Light the selected volumes, smoke domains and meshes"""
+class _Bakes:
+    """What the two bakes share: in a window they return at once, in background they wait.
 
-    bl_idname = "lb_lighting.bake"
-    bl_label = "Bake LB Light"
-    bl_options = {"REGISTER", "UNDO"}
+    `begin(context)` returns the `Baking` or `Sequence` to be run.
+    """
 
     @classmethod
     def poll(cls, context):
-        if not context.selected_objects:
+        if running.baking is not None:
+            cls.poll_message_set("A bake is under way; cancel it or wait for it")
+        elif context.mode != "OBJECT":
+            cls.poll_message_set("Leave the mode that the object is in: light is for whole objects")
+        elif not context.selected_objects:
             cls.poll_message_set("Select a volume, a smoke domain or a mesh")
-            return False
-        return True
+        else:
+            return True
+        return False
 
     def execute(self, context):
         windows = context.window_manager
         windows.progress_begin(0, 100)
         try:
-            outcome = bake.bake(
+            outcome = bake.run(
+                self.begin(context),
                 context,
-                context.selected_objects,
-                bake.Options.of(context.scene),
-                progress=lambda _stage, fraction: windows.progress_update(100 * fraction),
+                lambda _stage, fraction: windows.progress_update(100 * fraction),
             )
         except LightingError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self._refuse(error)
         finally:
             windows.progress_end()
+        return self._finish(outcome)
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        try:
+            running.start(self.begin(context))
+        except LightingError as error:
+            return self._refuse(error)
+        windows = context.window_manager
+        self._timer = windows.event_timer_add(running.INTERVAL, window=context.window)
+        windows.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if running.baking is None:  # Cancel was pressed
+            return self._leave(context, {"CANCELLED"})
+        if event.type == "ESC" and event.value == "PRESS":
+            running.stop("The bake was cancelled; nothing was changed")
+            return self._leave(context, {"CANCELLED"})
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            outcome = self._look(context)
+        except LightingError as error:
+            return self._leave(context, self._refuse(error))
+        except Exception:  # a defect, which Blender shows; it must not block the next bake
+            running.stop("The bake failed; nothing was changed")
+            self._leave(context, set())
+            raise
+        if outcome is None:
+            return {"PASS_THROUGH"}
+        return self._leave(context, self._finish(outcome))
+
+    def cancel(self, context):
+        """Blender's way to say that the operator ends with its window or its file."""
+        running.stop("The bake was ended with its window")
+        self._leave(context, set())
+
+    def _look(self, context):
+        """The `Outcome` where the bake has come to its end."""
+        if not running.baking.update():
+            running.show()
+            return None
+        waits = running.baking.must_wait(context)
+        running.show(waits)
+        return None if waits else running.baking.apply(context)
+
+    def _leave(self, context, result):
+        context.window_manager.event_timer_remove(self._timer)
+        return result
+
+    def _refuse(self, error):
+        self.report({"ERROR"}, str(error))
+        running.finish([str(error)], error=True)
+        return {"CANCELLED"}
+
+    def _finish(self, outcome):
         for note in outcome.notes:
             self.report({"WARNING"}, note)
         self.report({"INFO"}, outcome.summary)
+        running.finish([*outcome.facts, *outcome.notes])
+        return {"FINISHED"}
+
+
+class LB_OT_bake(_Bakes, bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Light the selected volumes, smoke domains and meshes at the current frame"""
+
+    bl_idname = "lb_lighting.bake"
+    bl_label = "Bake LB Light"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def begin(self, context):
+        options = bake.Options.of(context.scene)
+        return bake.Baking(context, context.selected_objects, options)
+
+
+class LB_OT_bake_animation(_Bakes, bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Light the selected volumes and smoke domains at every frame of the scene's range, into a \
+sequence of files. Frames that are there are kept"""
+
+    bl_idname = "lb_lighting.bake_animation"
+    bl_label = "Bake LB Light Animation"
+    bl_options = {"REGISTER", "UNDO"}
+
+    overwrite: BoolProperty(
+        name="Overwrite", description="Bake the frames anew that are baked already"
+    )
+
+    def begin(self, context):
+        scene, options = context.scene, bake.Options.of(context.scene)
+        frames = scene.frame_start, scene.frame_end
+        return Sequence(context, context.selected_objects, options, *frames, self.overwrite)
+
+
+class LB_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """End the bake that is under way; the scene stays as it is"""
+
+    bl_idname = "lb_lighting.cancel"
+    bl_label = "Cancel LB Light"
+
+    @classmethod
+    def poll(cls, _context):
+        if running.baking is None:
+            cls.poll_message_set("No bake is under way")
+        return running.baking is not None
+
+    def execute(self, _context):
+        running.stop("The bake was cancelled; nothing was changed")
         return {"FINISHED"}
 
 
@@ -68,11 +178,14 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
         return {"FINISHED"}
 
 
+_CLASSES = (LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear)
+
+
 def register():
-    bpy.utils.register_class(LB_OT_bake)
-    bpy.utils.register_class(LB_OT_clear)
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
 
 
 def unregister():
-    bpy.utils.unregister_class(LB_OT_clear)
-    bpy.utils.unregister_class(LB_OT_bake)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

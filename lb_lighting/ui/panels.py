@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sidebar tab "LB" of the 3D view."""
 
+import textwrap
+
 import bpy
 
 from ..scene.sources import FROM_MATERIAL, SURFACE_TYPES
-from .operators import LB_OT_bake, LB_OT_clear
+from . import running
+from .operators import LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear
+
+WIDTH = 44  # characters of a line of text
 
 
 class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
@@ -53,10 +58,31 @@ class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
         column.prop(settings, "device", placeholder="The best")
 
         layout.separator()
+        _draw_bake(layout)
+
+
+def _draw_bake(layout):
+    """The buttons, or how far the bake is, and how the last one ended."""
+    if running.baking is None:
         row = layout.row(align=True)
         row.scale_y = 1.4
         row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
+        row.operator(LB_OT_bake_animation.bl_idname, text="Animation", icon="RENDER_ANIMATION")
         row.operator(LB_OT_clear.bl_idname, text="Clear", icon="TRASH")
+    else:
+        layout.progress(factor=running.told[1], text=running.line())
+        layout.operator(LB_OT_cancel.bl_idname, text="Cancel", icon="CANCEL")
+    if running.last:
+        box = layout.box().column(align=True)
+        box.alert = running.failed
+        for line in running.last:
+            _draw_text(box, line)
+
+
+def _draw_text(layout, text):
+    """A sentence in as many lines as it needs."""
+    for number, part in enumerate(textwrap.wrap(text, WIDTH)):
+        layout.label(text=part, icon="NONE" if number else "DOT")
 
 
 def register():

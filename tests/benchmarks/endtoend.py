@@ -25,10 +25,12 @@ bpy.utils.expose_bundled_modules()
 import openvdb  # noqa: E402 - only now is it exposed
 
 import lb_lighting  # noqa: E402
-from lb_lighting import bake, job  # noqa: E402
+from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.job import Job  # noqa: E402
 from tests.benchmarks import media  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
+from tests.jobs import Solve  # noqa: E402
 from tests.output.rendering import dark_scene, render  # noqa: E402
 
 REFERENCES = BUILD.parent / "references"
@@ -162,10 +164,10 @@ def solved(case, folder, handover):
     """(field, seconds) of the light that `bake` would find."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, handover=handover, **LATTICE)
-    problem = bake.gather(bpy.context, [source], options)
+    problem = bake.gather(bpy.context, [source], options).problem()
     start = perf_counter()
     settings = replace(options.settings(), photons=PHOTONS)
-    field = job.solve(problem.medium, problem.lights, settings)
+    field = Job(Solve(problem.medium, problem.lights, settings)).wait()
     return field, perf_counter() - start
 
 
@@ -173,7 +175,8 @@ def lit(case, folder, field, mode, samples):
     """(picture, seconds) with the light of the field."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
-    bake.apply(bpy.context, bake.gather(bpy.context, [source], options), field, options)
+    task = bake.gather(bpy.context, [source], options)
+    bake.apply(bpy.context, [source], task, task.keep(task.problem(), field))
     return picture(folder, samples)
 
 

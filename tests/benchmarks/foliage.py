@@ -134,10 +134,11 @@ def by_photons(objects, case):
     """
     with TemporaryDirectory() as folder:
         options = bake.Options(resolution=case.resolution, folder=folder)
-        problem = bake.gather(bpy.context, objects, options)
+        task = bake.gather(bpy.context, objects, options)
+        problem = task.problem()
         field = trace(problem.medium, problem.lights, PHOTONS)
         field.report = Report("photons", field.report.device)  # files cannot hold its arrays
-        bake.apply(bpy.context, problem, field, options)
+        bake.apply(bpy.context, objects, task, task.keep(problem, field))
     return field.report
 
 

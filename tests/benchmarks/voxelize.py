@@ -4,6 +4,7 @@
 import tempfile
 from pathlib import Path
 from time import perf_counter
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,7 +13,7 @@ bpy.utils.expose_bundled_modules()
 
 from lb_lighting.cli import leave  # noqa: E402 - OpenVDB has to be exposed first
 from lb_lighting.output.vdb import AXES, direct_grid, flux_grid, write_vdb  # noqa: E402
-from lb_lighting.scene.voxelize import Part, area_of, foliage_density, surface_area  # noqa: E402
+from lb_lighting.scene.voxelize import area_of, foliage_density, surface_area  # noqa: E402
 from lb_lighting.transport import Domain  # noqa: E402
 from tests.benchmarks.table import publish  # noqa: E402
 
@@ -42,13 +43,13 @@ def seconds_of(action):
 
 def voxelized(edge):
     triangles = leaves(edge)
-    part = Part(triangles, np.zeros(COUNT, bool), None, None, False)
+    faces = SimpleNamespace(triangles=triangles, closed=np.zeros(COUNT, bool))
     seconds, area = seconds_of(lambda: surface_area(triangles, DOMAIN))
     return {
         "edge, voxels": edge,
         "triangles": COUNT,
         "area, s": seconds,
-        "leaves seen from a sun, s": seconds_of(lambda: foliage_density(part, DOMAIN, DOWN))[0],
+        "leaves seen from a sun, s": seconds_of(lambda: foliage_density(faces, DOMAIN, DOWN))[0],
         "relative error": abs(area.sum() / area_of(triangles) - 1),
     }
 

@@ -21,7 +21,7 @@ def lattice(lb, ob, resolution=48):
 
 def read(lb, ob, domain, name="density"):
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    return part(lb, "scene.smoke").smoke_grid(ob, depsgraph, domain, name)
+    return part(lb, "scene.smoke").read_grid(ob, depsgraph, name).on(domain)
 
 
 def share(lb, ob, domain, medium):

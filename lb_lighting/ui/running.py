@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The bake that is under way, and how the last one ended; nothing of it is in the .blend."""
+
+import bpy
+from bpy.app.handlers import persistent
+
+INTERVAL = 0.1  # s between looks at the solver
+
+baking = None  # a `Baking` or a `Sequence`
+told = ("", 0.0, None)  # what to show of it: stage, fraction, seconds left
+last = ()  # lines about the one before
+failed = False  # whether those tell of an error
+
+
+def start(work):
+    """`work` is under way."""
+    global baking
+    baking = work
+    show()
+
+
+def stop(why):
+    """End what is under way, if anything is, at once."""
+    if baking is not None:
+        baking.cancel()
+        finish([why], error=True)
+
+
+def finish(lines, error=False):
+    """Nothing is under way any more; keep what there is to say about it."""
+    global baking, last, failed
+    baking, last, failed = None, tuple(lines), error
+    redraw()
+
+
+def show(waits=None):
+    """Show how far it is, or what it `waits` for."""
+    global told
+    stage, fraction = baking.status
+    told = waits or stage, fraction, baking.seconds_left
+    redraw()
+
+
+def line():
+    """What it does and how long that takes yet, for a progress bar."""
+    stage, fraction, seconds = told
+    left = "" if seconds is None else f", {duration(seconds)} left"
+    return f"{stage}, {fraction:.0%}{left}"
+
+
+def duration(seconds):
+    """A time as people say it."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{round(seconds / 60)} min"
+
+
+def redraw():
+    """Draw the sidebars and the status bar anew."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+        window.workspace.status_text_set_internal(None)
+
+
+def draw_status(header, _context):
+    """Our part of the status bar."""
+    if baking is not None:
+        row = header.layout.row()
+        row.ui_units_x = 16
+        row.progress(factor=told[1], text=f"LB Lighting: {line()}")
+
+
+@persistent
+def _stop_for_another_file(*_arguments):
+    stop("The bake was ended, because another file was opened")
+
+
+def register():
+    bpy.types.STATUSBAR_HT_header.append(draw_status)
+    bpy.app.handlers.load_pre.append(_stop_for_another_file)
+
+
+def unregister():
+    stop("The bake was ended, because the extension was disabled")
+    bpy.app.handlers.load_pre.remove(_stop_for_another_file)
+    bpy.types.STATUSBAR_HT_header.remove(draw_status)
