@@ -18,6 +18,7 @@ import bpy
 from . import bake, job
 from .errors import LightingError, OutputError, SceneError
 from .output.volume import require_writable
+from .sequence import Sequence
 
 _HELP = {
     "resolution": "voxels along the longest edge",
@@ -66,7 +67,10 @@ def _parser(opens_file):
     baking = commands.add_parser("bake", help="light objects and save the scene")
     baking.set_defaults(run=_bake)
     baking.add_argument("--objects", nargs="+", metavar="NAME", help="default: the selected ones")
-    baking.add_argument("--frame", type=int, help="frame of the scene to light")
+    when = baking.add_mutually_exclusive_group()
+    when.add_argument("--frame", type=int, help="frame of the scene to light")
+    when.add_argument("--frames", type=_frames, metavar="FIRST-LAST", help="bake a sequence")
+    baking.add_argument("--overwrite", action="store_true", help="bake frames that are there, too")
     for option in fields(bake.Options):
         # Left out, an option is what the .blend says.
         is_flag = option.type is bool
@@ -91,16 +95,22 @@ def _bake(parsed):
     if parsed.frame is not None:
         scene.frame_set(parsed.frame)
     changes = {f.name: getattr(parsed, f.name) for f in fields(bake.Options)}
-    outcome = bake.bake(
-        bpy.context,
-        _objects(scene, parsed.objects),
-        bake.Options.of(scene, **changes),
-        progress=_Progress(),
-    )
+    objects, options = _objects(scene, parsed.objects), bake.Options.of(scene, **changes)
+    if parsed.frames is None:
+        baking = bake.Baking(bpy.context, objects, options)
+    else:
+        baking = Sequence(bpy.context, objects, options, *parsed.frames, parsed.overwrite)
+    outcome = bake.run(baking, bpy.context, _Progress())
     for note in outcome.notes:
         print(note)
     _save(target)
     print(f"{outcome.summary}: {outcome.path}")
+
+
+def _frames(text):
+    """(first, last) of a text like 1-24; ValueError, which argparse tells, for any other."""
+    first, last = text.split("-")
+    return int(first), int(last)
 
 
 def _clear(parsed):

@@ -264,6 +264,94 @@ class TestAgain:
         assert bpy.context.selected_objects == [baked()]
 
 
+class TestFollows:
+    def test_the_light_goes_where_its_source_goes(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.location, ob.rotation_euler, ob.scale = (1, 2, 3), (0.3, 0.2, 0.1), (1, 2, 1)
+        bpy.context.view_layer.update()
+        before = ob.matrix_world.copy()
+        bake_light(ob)
+        assert np.array(baked().matrix_world) == pytest.approx(np.eye(4), abs=1e-5)
+        ob.location, ob.rotation_euler = (0, 0, 1), (0, 0, 1)
+        bpy.context.view_layer.update()
+        moved = baked().evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
+        expected = ob.matrix_basis @ before.inverted()
+        assert np.array(moved) == pytest.approx(np.array(expected), abs=1e-5)
+
+    def test_a_second_bake_begins_where_the_source_is(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        bake_light(ob)
+        ob.location = (0, 0, 1)
+        bpy.context.view_layer.update()
+        bake_light(ob)
+        bpy.context.view_layer.update()
+        assert np.array(baked().matrix_world) == pytest.approx(np.eye(4), abs=1e-5)
+
+
+class TestMeanwhile:
+    """What may happen to a scene while it is lit."""
+
+    def finish(self, baking):
+        while not baking.update(wait=0.5):
+            pass
+        return baking.apply(bpy.context)
+
+    def test_renamed_and_moved(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        ob.name, ob.location = "other", (5, 0, 0)
+        outcome = self.finish(baking)
+        assert ob.hide_render
+        assert np.mean([outcome.lit.domain.origin, outcome.lit.domain.upper]) < 1
+        bpy.context.view_layer.update()
+        assert baked().matrix_world.translation[:] == pytest.approx((5, 0, 0), abs=1e-5)
+
+    @pytest.mark.parametrize("how", ["object", "from the scene", "scene"])
+    def test_deleted(self, scene, tmp_path, how):
+        ob = scenery.add_fog(tmp_path)
+        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        if how == "object":
+            bpy.data.objects.remove(ob)
+        elif how == "from the scene":
+            scene.collection.objects.unlink(ob)
+        else:
+            bpy.data.scenes.new("other")
+            bpy.data.scenes.remove(scene)
+        with pytest.raises(SceneError, match="been deleted meanwhile; nothing was changed"):
+            self.finish(baking)
+        assert [path.name for path in tmp_path.iterdir()] == ["fog.vdb"]
+
+    def test_a_mesh_that_gets_other_vertices(self, scene, tmp_path):
+        ob = scenery.add_leaves()
+        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        ob.data.vertices.add(1)
+        before = snapshot()
+        with pytest.raises(OutputError, match="mesh of leaves was changed while it was lit"):
+            self.finish(baking)
+        assert snapshot() == before
+        assert list(tmp_path.iterdir()) == []
+
+    def test_another_scene_in_view(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        other = bpy.data.scenes.new("other")
+        while not baking.update(wait=0.5):
+            pass
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            baking.apply(bpy.context)
+        assert [ob.name for ob in baked_volumes(scene)] == ["LB fog"]
+        assert baked_volumes(other) == []
+
+    def test_cancelled(self, scene, tmp_path, processes):
+        ob = scenery.add_fog(tmp_path)
+        before = snapshot()
+        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking.cancel()
+        assert processes[-1].poll() is not None
+        assert snapshot() == before
+        assert [path.name for path in tmp_path.iterdir()] == ["fog.vdb"]
+
+
 class TestTogether:
     """Sources that were baked in one go stay tied to their light."""
 

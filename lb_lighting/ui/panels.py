@@ -12,25 +12,56 @@ from .operators import LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_cle
 WIDTH = 44  # characters of a line of text
 
 
-class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
-    bl_label = "LB Lighting"
+class _Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "LB"
 
     def draw(self, context):
-        settings = context.scene.lb_lighting
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        self.draw_settings(context, self.layout.column(), context.scene.lb_lighting)
 
-        column = layout.column()
+
+class _SubPanel(_Panel):
+    bl_parent_id = "LB_PT_lighting"
+
+
+class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "LB Lighting"
+
+    def draw(self, _context):
+        """The buttons, or how far the bake is; and how the last one ended."""
+        layout = self.layout
+        if running.baking is None:
+            row = layout.row(align=True)
+            row.scale_y = 1.4
+            row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
+            row.operator(LB_OT_bake_animation.bl_idname, text="Animation", icon="RENDER_ANIMATION")
+            row.operator(LB_OT_clear.bl_idname, text="Clear", icon="TRASH")
+        else:
+            layout.progress(factor=running.told[1], text=running.line())
+            layout.operator(LB_OT_cancel.bl_idname, text="Cancel", icon="CANCEL")
+        if running.last:
+            box = layout.box().column(align=True)
+            box.alert = running.failed
+            for line in running.last:
+                _draw_text(box, line)
+
+
+class LB_PT_domain(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "Domain"
+
+    def draw_settings(self, _context, column, settings):
         column.prop(settings, "domain", placeholder="The selection's")
         column.prop(settings, "resolution")
         column.prop(settings, "padding")
 
-        layout.separator()
-        column = layout.column()
+
+class LB_PT_medium(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "Medium"
+
+    def draw_settings(self, context, column, settings):
         column.prop(settings, "medium")
         depth = column.row()
         depth.active = settings.medium != FROM_MATERIAL
@@ -40,8 +71,13 @@ class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
         if ob is not None and ob.type in SURFACE_TYPES:
             column.prop(ob.lb_lighting, "role")
 
-        layout.separator()
-        column = layout.column()
+
+class LB_PT_solver(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "Solver"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_settings(self, _context, column, settings):
+        column.prop(settings, "device", placeholder="The best")
         column.prop(settings, "model")
         handover = column.row()
         handover.active = settings.model == "physical"
@@ -50,44 +86,31 @@ class LB_PT_lighting(bpy.types.Panel):  # noqa: N801 - Blender's convention
         absorbed.active = settings.model == "paper"
         absorbed.prop(settings, "keep_absorbed")
 
-        layout.separator()
-        column = layout.column()
+
+class LB_PT_output(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "Output"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_settings(self, _context, column, settings):
         column.prop(settings, "mode")
         column.prop(settings, "strength")
         column.prop(settings, "folder", placeholder="The .blend's")
-        column.prop(settings, "device", placeholder="The best")
-
-        layout.separator()
-        _draw_bake(layout)
-
-
-def _draw_bake(layout):
-    """The buttons, or how far the bake is, and how the last one ended."""
-    if running.baking is None:
-        row = layout.row(align=True)
-        row.scale_y = 1.4
-        row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
-        row.operator(LB_OT_bake_animation.bl_idname, text="Animation", icon="RENDER_ANIMATION")
-        row.operator(LB_OT_clear.bl_idname, text="Clear", icon="TRASH")
-    else:
-        layout.progress(factor=running.told[1], text=running.line())
-        layout.operator(LB_OT_cancel.bl_idname, text="Cancel", icon="CANCEL")
-    if running.last:
-        box = layout.box().column(align=True)
-        box.alert = running.failed
-        for line in running.last:
-            _draw_text(box, line)
 
 
 def _draw_text(layout, text):
     """A sentence in as many lines as it needs."""
     for number, part in enumerate(textwrap.wrap(text, WIDTH)):
-        layout.label(text=part, icon="NONE" if number else "DOT")
+        layout.label(text=part, icon="BLANK1" if number else "DOT")
+
+
+_CLASSES = (LB_PT_lighting, LB_PT_domain, LB_PT_medium, LB_PT_solver, LB_PT_output)
 
 
 def register():
-    bpy.utils.register_class(LB_PT_lighting)
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
 
 
 def unregister():
-    bpy.utils.unregister_class(LB_PT_lighting)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

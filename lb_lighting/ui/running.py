@@ -7,7 +7,7 @@ from bpy.app.handlers import persistent
 INTERVAL = 0.1  # s between looks at the solver
 
 baking = None  # a `Baking` or a `Sequence`
-told = ("", 0.0, None)  # what to show of it: stage, fraction, seconds left
+told = "", 0.0, None  # what to show of it: stage, fraction, seconds left
 last = ()  # lines about the one before
 failed = False  # whether those tell of an error
 
@@ -37,8 +37,9 @@ def show(waits=None):
     """Show how far it is, or what it `waits` for."""
     global told
     stage, fraction = baking.status
-    told = waits or stage, fraction, baking.seconds_left
-    redraw()
+    before, told = told, (waits or stage, fraction, baking.seconds_left)
+    if told != before:
+        redraw()
 
 
 def line():
@@ -56,11 +57,12 @@ def duration(seconds):
 
 
 def redraw():
-    """Draw the sidebars and the status bar anew."""
+    """Draw the sidebars and the status bar anew, and not the views, which may be slow."""
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+        areas = [area for area in window.screen.areas if area.type == "VIEW_3D"]
+        for region in (region for area in areas for region in area.regions):
+            if region.type == "UI":
+                region.tag_redraw()
         window.workspace.status_text_set_internal(None)
 
 

@@ -33,6 +33,7 @@ PACKAGES = [
     "python3-pyopencl",
     "python3-requests",
     "xauth",
+    "xdotool",
     "xvfb",
 ]
 

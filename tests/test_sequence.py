@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames baked one after the other: their files, what is kept, and what is begun anew."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting import bake
+from lb_lighting.bake import Options
+from lb_lighting.errors import SceneError, SolverError
+from lb_lighting.output.vdb import DENSITY_GRID
+from lb_lighting.output.volume import baked_path, baked_volumes
+from lb_lighting.sequence import MOVING, Sequence
+from tests import scenery
+from tests.scenery import read_grid
+
+FRAMES = (1, 2, 3)
+
+
+@pytest.fixture
+def fog(scene, tmp_path):
+    """A Volume object that shows another file at each frame, denser by the frame."""
+    folder = tmp_path / "smoke"
+    folder.mkdir()
+    for frame in FRAMES:
+        scenery.write_fog(folder / f"fog_{frame:03}.vdb", frame * scenery.ball())
+    ob = scenery.add_fog(tmp_path)
+    ob.data.filepath = str(folder / "fog_001.vdb")
+    ob.data.is_sequence, ob.data.frame_duration = True, len(FRAMES)
+    (tmp_path / "fog.vdb").unlink()
+    scene.frame_set(2)
+    return ob
+
+
+def bake_frames(ob, first=1, last=3, overwrite=False, progress=None, **changes):
+    options = Options.of(bpy.context.scene, **changes)
+    work = Sequence(bpy.context, [ob], options, first, last, overwrite)
+    return bake.run(work, bpy.context, progress)
+
+
+def baked():
+    (ob,) = baked_volumes(bpy.context.scene)
+    return ob
+
+
+def frames():
+    """{name: time of its last change} of the frames that are shown."""
+    folder = baked_path(baked()).parent
+    return {path.name: path.stat().st_mtime_ns for path in sorted(folder.iterdir())}
+
+
+def test_each_frame_has_its_own_light(scene, fog):
+    told = []
+    outcome = bake_frames(fog, progress=lambda *status: told.append(status))
+    assert list(frames()) == ["frame_0001.vdb", "frame_0002.vdb", "frame_0003.vdb"]
+    densities = [
+        read_grid(outcome.path.with_name(name), DENSITY_GRID)[0].max() for name in frames()
+    ]
+    assert np.divide(densities, densities[0]) == pytest.approx(FRAMES, rel=1e-5)
+    assert scene.frame_current == 2
+    assert next(stage.split(":")[0] for stage, _fraction in told) == "Frame 1"
+    fractions = [fraction for _stage, fraction in told]
+    assert fractions == sorted(fractions)
+
+
+def test_blender_shows_the_file_of_its_frame(scene, fog):
+    bake_frames(fog)
+    for frame in FRAMES:
+        scene.frame_set(frame)
+        shown = baked().evaluated_get(bpy.context.evaluated_depsgraph_get()).data.grids
+        assert shown.load()
+        assert Path(shown.frame_filepath).name == f"frame_{frame:04}.vdb"
+
+
+def test_an_ended_bake_goes_on_where_it_was(scene, fog, processes):
+    """The second solver is killed; what it left is not taken for a frame."""
+    killing = lambda *_status: len(processes) == 2 and processes[1].kill()  # noqa: E731
+    with pytest.raises(SolverError):
+        bake_frames(fog, progress=killing)
+    before = frames()
+    assert list(before) == ["frame_0001.vdb"]
+    assert scene.frame_current == 2
+    bake_frames(fog)
+    after = frames()
+    assert len(after) == 3
+    assert after["frame_0001.vdb"] == before["frame_0001.vdb"]
+
+
+def test_what_is_baked_is_kept_unless_asked(scene, fog):
+    bake_frames(fog)
+    before, folder = frames(), baked_path(baked()).parent
+    with pytest.raises(SceneError, match="frames 1 to 3 are all baked; choose Overwrite to bake"):
+        bake_frames(fog)
+    assert frames() == before
+    bake_frames(fog, overwrite=True)
+    assert baked_path(baked()).parent != folder
+    assert len(frames()) == 3
+    assert len(list(folder.iterdir())) == 3  # undo shows them again
+
+
+def test_other_options_make_other_frames(scene, fog):
+    bake_frames(fog)
+    folder = baked_path(baked()).parent
+    bake_frames(fog, strength=0.5, resolution=12)
+    assert baked_path(baked()).parent != folder
+
+
+def test_lamps_that_move_are_told(scene, fog):
+    sun = bpy.data.objects["sun"]
+    for frame, angle in ((1, 0.0), (3, 1.0)):
+        sun.rotation_euler.x = angle
+        sun.keyframe_insert("rotation_euler", frame=frame)
+    notes = bake_frames(fog).notes
+    assert notes.count(MOVING) == 1
+
+
+def test_a_range_that_ends_before_it_begins_is_refused(scene, fog, tmp_path):
+    before = set(tmp_path.iterdir())
+    with pytest.raises(SceneError, match="The last frame comes before the first; correct"):
+        bake_frames(fog, 3, 1)
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_a_frame_that_cannot_be_read_leaves_nothing(scene, fog, tmp_path):
+    fog.data.filepath = str(tmp_path / "nowhere_001.vdb")
+    before = set(tmp_path.iterdir())
+    with pytest.raises(SceneError, match="cannot be read"):
+        bake_frames(fog)
+    assert set(tmp_path.iterdir()) == before
+    assert scene.frame_current == 2
+
+
+def test_one_frame_again_is_no_sequence(scene, fog):
+    bake_frames(fog)
+    scenery.bake_light(fog)
+    assert not baked().data.is_sequence
