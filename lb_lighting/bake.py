@@ -16,17 +16,17 @@ import numpy as np
 
 from . import exchange
 from .errors import OutputError, SceneError, SettingsError
-from .job import Job
+from .job import Job, wait
 from .options import Options
 from .output import attribute, shading, volume
 from .scene.lights import scene_lights, unread_lamps
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
-from .tasks import FIELD, Light, Lit
+from .tasks import FIELD, Estimate, Light, Lit
 
 __all__ = [
-    "Baking", "Options", "Outcome", "apply", "bake", "clear", "folder_of", "gather", "run",
-    "sources_of",
+    "Baking", "Estimating", "Options", "Outcome", "apply", "bake", "clear", "folder_of", "gather",
+    "run", "sources_of",
 ]  # fmt: skip
 
 
@@ -37,7 +37,7 @@ class Outcome:
     lit: Lit
     path: Path
     notes: list
-    job: Job
+    baking: Job
 
     @property
     def summary(self):
@@ -64,7 +64,7 @@ class Outcome:
     @cached_property
     def field(self):
         """The `Field`, which is read only now: it is large, and most have no use for it."""
-        return exchange.load(Path(self.job.folder.name, FIELD))
+        return exchange.load(Path(self.baking.folder.name, FIELD))
 
 
 def bake(context, objects, options, progress=None):
@@ -78,22 +78,14 @@ def bake(context, objects, options, progress=None):
 
 def run(baking, context, progress=None):
     """Bring a `Baking` or a `Sequence` to its end; its `Outcome`. Raises as they do."""
-    told = None
     while True:
-        try:
-            while not baking.update(wait=0.5):
-                if progress is not None and baking.status != told:
-                    told = baking.status
-                    progress(*told)
-        except BaseException:  # also where the caller stops listening: no orphan is left
-            baking.cancel()
-            raise
+        wait(baking, progress)
         outcome = baking.apply(context)
         if outcome is not None:
             return outcome
 
 
-class Baking:
+class Baking(Job):
     """A bake under way: when `update` says that it is done, `apply` is to be called.
 
     Objects may be renamed, moved, hidden or deleted meanwhile, undone and redone: they are known by
@@ -111,25 +103,7 @@ class Baking:
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
         path = frames.path(context.scene.frame_current) if frames else None
-        self.job = Job(gather(context, objects, options, path))
-
-    @property
-    def status(self):
-        """(what it is doing, fraction from 0 to 1)."""
-        return self.job.said.get("stage", "Starting"), self.job.said.get("fraction", 0.0)
-
-    @property
-    def seconds_left(self):
-        """An estimate, or None."""
-        return self.job.seconds_left
-
-    def update(self, wait=0.0):
-        """Hear from the solver, waiting up to `wait` s; whether it is done. Raises its errors."""
-        return self.job.update(wait)
-
-    def cancel(self):
-        """End it at once; nothing of it stays."""
-        self.job.cancel()
+        super().__init__(gather(context, objects, options, path))
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
@@ -144,15 +118,15 @@ class Baking:
         cannot take it any more; then it is as it was, and the file is gone."""
         try:
             scene, objects = self._require()
-            lit = self.job.result()
+            lit = self.result()
             with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
-                ob = apply(context, objects, self.job.task, lit, self.frames)
+                ob = apply(context, objects, self.task, lit, self.frames)
                 if len(objects) == 1 and self.frames is None:
-                    volume.follow(ob, objects[0], self.job.task.sources[0].place)
+                    volume.follow(ob, objects[0], self.task.sources[0].place)
         except BaseException:
-            self.job.cancel()
+            self.cancel()
             raise
-        return Outcome(lit, Path(self.job.task.path), lit.notes, self.job)
+        return Outcome(lit, Path(self.task.path), lit.notes, self)
 
     def found(self):
         """The objects as they are now, without those that are gone."""
@@ -168,6 +142,19 @@ class Baking:
             raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
         _refuse_unwritable(objects, self.options)
         return scene, objects
+
+
+class Estimating(Job):
+    """An estimate under way, with the methods of a `Baking`; it changes nothing."""
+
+    def __init__(self, context, objects, options):
+        """Read the scene and start; raises as `gather` does."""
+        objects = sources_of(context.scene, objects)
+        super().__init__(Estimate(gather(context, objects, options)))
+
+    def apply(self, _context):
+        """What was found out: an `Expected`."""
+        return self.result()
 
 
 def gather(context, objects, options, path=None):

@@ -87,16 +87,17 @@ class Job:
 
         progress  called as progress(stage, fraction)
         """
-        try:
-            told = None
-            while not self.update(wait=0.5):
-                if progress is not None and "stage" in self.said and self.said != told:
-                    told = dict(self.said)
-                    progress(self.said["stage"], self.said["fraction"])
-            return self.result()
-        except BaseException:  # also where the caller stops listening: no orphan is left
-            self.cancel()
-            raise
+        wait(self, progress)
+        return self.result()
+
+    def must_wait(self, _context):
+        """Why the result cannot be taken at the moment, or None."""
+        return None
+
+    @property
+    def status(self):
+        """(what it is doing, fraction from 0 to 1)."""
+        return self.said.get("stage", "Starting"), self.said.get("fraction", 0.0)
 
     def cancel(self):
         """End the process at once, and delete what it left."""
@@ -108,7 +109,7 @@ class Job:
     def seconds_left(self):
         """An estimate from the way so far, or None where it is too early to tell."""
         fraction = self.said.get("fraction", 0)
-        spent = self._heard - self._started
+        spent = time.monotonic() - self._started
         return spent * (1 - fraction) / fraction if fraction > 0.05 else None
 
     def _path(self, name):
@@ -140,6 +141,19 @@ class Job:
         self._process.wait()
         self._process.stdin.close()
         self._chatter.close()
+
+
+def wait(job, progress=None):
+    """Wait until `job` is done; see `Job.wait`."""
+    told = None
+    try:
+        while not job.update(wait=0.5):
+            if progress is not None and job.status != told:
+                told = job.status
+                progress(*told)
+    except BaseException:  # also where the caller stops listening: no orphan is left
+        job.cancel()
+        raise
 
 
 def device_lines():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake, Bake Animation, Cancel and Clear: thin shells over `bake.py` and `sequence.py`."""
+"""Bake, Estimate, Cancel and Clear: thin shells over `bake.py` and `sequence.py`."""
 
 import bpy
 from bpy.props import BoolProperty
@@ -10,16 +10,16 @@ from ..sequence import Sequence
 from . import running
 
 
-class _Bakes:
-    """What the two bakes share: in a window they return at once, in background they wait.
+class _Works:
+    """What long work has in common: in a window it returns at once, in background it waits.
 
-    `begin(context)` returns the `Baking` or `Sequence` to be run.
+    `begin(context)` returns the `Baking`, `Sequence` or `Estimating` to be run.
     """
 
     @classmethod
     def poll(cls, context):
         if running.baking is not None:
-            cls.poll_message_set("A bake is under way; cancel it or wait for it")
+            cls.poll_message_set("A bake or an estimate is under way; cancel it or wait for it")
         elif context.mode != "OBJECT":
             cls.poll_message_set("Leave the mode that the object is in: light is for whole objects")
         elif not context.selected_objects:
@@ -106,7 +106,7 @@ class _Bakes:
         return {"FINISHED"}
 
 
-class LB_OT_bake(_Bakes, bpy.types.Operator):  # noqa: N801 - Blender's convention
+class LB_OT_bake(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention
     """Light the selected volumes, smoke domains and meshes at the current frame"""
 
     bl_idname = "lb_lighting.bake"
@@ -118,7 +118,7 @@ class LB_OT_bake(_Bakes, bpy.types.Operator):  # noqa: N801 - Blender's conventi
         return bake.Baking(context, context.selected_objects, options)
 
 
-class LB_OT_bake_animation(_Bakes, bpy.types.Operator):  # noqa: N801 - Blender's convention
+class LB_OT_bake_animation(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention
     """Light the selected volumes and smoke domains at every frame of the scene's range, into a \
 sequence of files. Frames that are there are kept"""
 
@@ -134,6 +134,18 @@ sequence of files. Frames that are there are kept"""
         scene, options = context.scene, bake.Options.of(context.scene)
         frames = scene.frame_start, scene.frame_end
         return Sequence(context, context.selected_objects, options, *frames, self.overwrite)
+
+
+class LB_OT_estimate(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Tell what a bake will take: voxels, memory and time; and how dense the medium is"""
+
+    bl_idname = "lb_lighting.estimate"
+    bl_label = "Estimate LB Light"
+    bl_options = {"REGISTER"}
+
+    def begin(self, context):
+        options = bake.Options.of(context.scene)
+        return bake.Estimating(context, context.selected_objects, options)
 
 
 class LB_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's convention
@@ -178,7 +190,7 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
         return {"FINISHED"}
 
 
-_CLASSES = (LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear)
+_CLASSES = (LB_OT_bake, LB_OT_bake_animation, LB_OT_estimate, LB_OT_cancel, LB_OT_clear)
 
 
 def register():

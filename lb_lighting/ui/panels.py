@@ -7,7 +7,7 @@ import bpy
 
 from ..scene.sources import FROM_MATERIAL, SURFACE_TYPES
 from . import running
-from .operators import LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear
+from .operators import LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear, LB_OT_estimate
 
 WIDTH = 44  # characters of a line of text
 
@@ -39,6 +39,7 @@ class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convent
             row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
             row.operator(LB_OT_bake_animation.bl_idname, text="Animation", icon="RENDER_ANIMATION")
             row.operator(LB_OT_clear.bl_idname, text="Clear", icon="TRASH")
+            layout.operator(LB_OT_estimate.bl_idname, text="Estimate", icon="TIME")
         else:
             layout.progress(factor=running.told[1], text=running.line())
             layout.operator(LB_OT_cancel.bl_idname, text="Cancel", icon="CANCEL")

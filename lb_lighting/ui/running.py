@@ -4,9 +4,11 @@
 import bpy
 from bpy.app.handlers import persistent
 
+from ..tasks import duration
+
 INTERVAL = 0.1  # s between looks at the solver
 
-baking = None  # a `Baking` or a `Sequence`
+baking = None  # a `Baking`, a `Sequence` or an `Estimating`
 told = "", 0.0, None  # what to show of it: stage, fraction, seconds left
 last = ()  # lines about the one before
 failed = False  # whether those tell of an error
@@ -47,13 +49,6 @@ def line():
     stage, fraction, seconds = told
     left = "" if seconds is None else f", {duration(seconds)} left"
     return f"{stage}, {fraction:.0%}{left}"
-
-
-def duration(seconds):
-    """A time as people say it."""
-    if seconds < 90:
-        return f"{max(1, round(seconds))} s"
-    return f"{round(seconds / 60)} min"
 
 
 def redraw():

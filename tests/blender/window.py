@@ -113,7 +113,7 @@ def worker():
     return running.baking.job._process.pid
 
 
-def until(condition, seconds=120.0):
+def until(condition, seconds=300.0):
     """Yield until `condition()` holds."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -386,7 +386,8 @@ class measured:  # noqa: N801 - reads as a function
 
     def __enter__(self):
         self.last, gaps[self.name] = time.monotonic(), 0.0
-        bpy.app.timers.register(self.tick, persistent=True)
+        self.timer = self.tick  # Blender knows it by its identity
+        bpy.app.timers.register(self.timer, persistent=True)
 
     def tick(self):
         now = time.monotonic()
@@ -394,7 +395,7 @@ class measured:  # noqa: N801 - reads as a function
         return TICK
 
     def __exit__(self, *_error):
-        bpy.app.timers.unregister(self.tick)
+        bpy.app.timers.unregister(self.timer)
 
 
 SCENARIOS = [

@@ -8,12 +8,13 @@ import bpy
 import numpy as np
 import pytest
 
+from lb_lighting import job
 from lb_lighting.options import MODES, Options
 from lb_lighting.output.volume import baked_volumes
 from lb_lighting.scene.sources import FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS
 from lb_lighting.transport.solver import MODELS
-from lb_lighting.ui import properties
+from lb_lighting.ui import preferences, properties, running
 from tests import scenery
 from tests.scenery import snapshot
 
@@ -120,6 +121,31 @@ class TestBake:
         assert snapshot() == before
         bpy.ops.ed.redo()
         assert snapshot() == lit
+
+
+class TestEstimate:
+    def test_tells_what_a_bake_takes_and_changes_nothing(self, scene, tmp_path, capfd):
+        scenery.select(scenery.add_fog(tmp_path))
+        before = snapshot()
+        assert bpy.ops.lb_lighting.estimate() == {"FINISHED"}
+        assert "Info: A bake takes about " in capfd.readouterr().out
+        assert snapshot() == before
+        shape, seconds, depth = running.last[:3]
+        assert shape.startswith("16 x 16 x 16 voxels of 0.167 m, ")
+        assert seconds.endswith(" s on NumPy (no OpenCL)")
+        # sigma_t is 4/m, the density at most 1, and the grid is 2 m wide.
+        a_voxel, across = (float(word) for word in depth.split() if word[0].isdigit())
+        assert 0.8 * 4 / 6 < a_voxel < 1.01 * 4 / 6
+        line = scenery.ball()[4, 4].sum() * 4 * 2 / scenery.EDGE
+        assert across == pytest.approx(line, rel=0.05)
+
+
+class TestDevices:
+    def test_are_listed_in_the_preferences(self, capfd):
+        assert bpy.ops.lb_lighting.find_devices() == {"FINISHED"}
+        labels = [line.rsplit(":", 1)[0] for line in preferences._found]  # what is free changes
+        assert labels == [line.rsplit(":", 1)[0] for line in job.device_lines()]
+        assert f"Info: The best device is {preferences._found[0]}" in capfd.readouterr().out
 
 
 class TestClear:

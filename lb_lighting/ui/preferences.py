@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on's preferences: what can solve on this machine."""
+
+import bpy
+
+from .. import job
+from ..errors import LightingError
+
+PACKAGE = __package__.removesuffix(".lb_lighting.ui")  # the extension, or the plain package's ui
+_found = []  # lines, once they were asked for
+
+
+class LB_OT_find_devices(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """List the devices that can solve, the best first"""
+
+    bl_idname = "lb_lighting.find_devices"
+    bl_label = "Find Devices"
+
+    def execute(self, _context):
+        try:
+            _found[:] = job.device_lines()
+        except LightingError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"The best device is {_found[0]}")
+        return {"FINISHED"}
+
+
+class LB_AP_preferences(bpy.types.AddonPreferences):  # noqa: N801 - Blender's convention
+    bl_idname = PACKAGE
+
+    def draw(self, _context):
+        column = self.layout.column()
+        column.operator(LB_OT_find_devices.bl_idname, icon="VIEWZOOM")
+        for number, line in enumerate(_found):
+            column.label(text=line, icon="NONE" if number else "CHECKMARK")
+        if len(_found) == 1:
+            column.label(
+                text="Only NumPy is here: an OpenCL driver for your processor or graphics card "
+                "makes bakes many times faster.",
+                icon="INFO",
+            )
+        column.label(text="A scene's choice is in the 3D view's sidebar, tab LB, panel Solver.")
+
+
+def register():
+    bpy.utils.register_class(LB_OT_find_devices)
+    bpy.utils.register_class(LB_AP_preferences)
+
+
+def unregister():
+    bpy.utils.unregister_class(LB_AP_preferences)
+    bpy.utils.unregister_class(LB_OT_find_devices)
