@@ -180,12 +180,16 @@ class FreePathSampler:
 
     def sample(self, origins, directions, seed=0):
         """(n,) m: distances, as `sample_free_paths` returns them."""
+        return self.count(origins, directions, seed)[0]
+
+    def count(self, origins, directions, seed=0):
+        """(what `sample` returns, how many particles, real and virtual, these rays met)."""
         require_whole(seed, "seed", 0, 2**32 - 1)
         origins, directions = check_rays(origins, directions)
         start, inside, hit = enter(self.grid, origins, directions)
         distances = np.full(len(origins), np.inf)
         rays = np.concatenate([inside[hit], directions[hit]], axis=1).T
-        lengths, violations = self.paths.free_paths(
+        lengths, particles, violations = self.paths.free_paths(
             np.ascontiguousarray(rays, np.float32),
             np.flatnonzero(hit),
             self.grid.per_depth(self.band),
@@ -199,10 +203,10 @@ class FreePathSampler:
                 f"{lost} of {len(origins)} rays took over {self.most_steps} steps and were given "
                 "up; their distance is NaN. Use smaller super-voxels, or ray marching.",
                 RuntimeWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
         distances[hit] = (start[hit] + lengths) * self.grid.medium.voxel_size
-        return distances
+        return distances, particles
 
 
 def _plan(shape, medium):

@@ -41,27 +41,29 @@ class NumpyPaths:
         self.grid = grid
 
     def free_paths(self, rays, indices, per_depth, seed, most_steps):
-        """((n,) fine cells to the first real collision, number of bounds that were violated).
+        """((n,) fine cells to the first real collision, particles met, bounds that were violated).
 
         rays     (6, n) float32: origins in the domain, in fine cells, and unit directions
         indices  (n,) the numbers of the rays, which choose their random numbers
-        inf where a ray leaves, NaN where it takes over `most_steps` steps
+        inf where a ray leaves, NaN where it takes over `most_steps` steps. Of the particles, real
+        and virtual ones, and of the violated bounds it is the number in all rays
         """
-        distances, violations = np.full(rays.shape[1], np.nan), 0
+        distances, particles, violations = np.full(rays.shape[1], np.nan), 0, 0
         for first in range(0, rays.shape[1], _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            walk = _Walk(self.grid, rays[:, some], per_depth, seed, indices[some])
+            walk = Walk(self.grid, rays[:, some], per_depth, seed, indices[some])
             walk.start_flights(np.arange(len(walk.t)))
             going = np.arange(len(walk.t))
             for _ in range(most_steps):
                 if not len(going):
                     break
                 event = walk.advance(going)
+                particles += np.count_nonzero((event == VIRTUAL) | (event == COLLIDED))
                 hit, left = going[event == COLLIDED], going[event == LEFT]
                 distances[first + hit], distances[first + left] = walk.t[hit], np.inf
                 going = going[(event != COLLIDED) & (event != LEFT)]
             violations += np.count_nonzero(walk.violated)
-        return distances, violations
+        return distances, particles, violations
 
     def start_tallies(self, shape, lower, per_cell, wanted, opaque):
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
@@ -93,7 +95,7 @@ class NumpyPaths:
         for begin in range(0, photons.shape[1], _AT_ONCE):
             some = photons[:, begin : begin + _AT_ONCE]
             numbers = first + begin + np.arange(some.shape[1])
-            walk = _Walk(self.grid, some[:6], per_depth, seed, numbers)
+            walk = Walk(self.grid, some[:6], per_depth, seed, numbers)
             self._trace(walk, some[6].astype(float), most_steps, *optics, spacing, last)
 
     def take_batch(self, batch):
@@ -158,8 +160,11 @@ class NumpyPaths:
             hit, stopped = (np.setdiff1d(rays, ended, True) for rays in (hit, stopped))
             alive = np.concatenate([hit, stopped])
             score_at[alive] -= walk.t[alive]
-            walk.scatter(hit, mean_cosine)
-            walk.reflect(stopped)
+            walk.arrive(hit)
+            walk.turn(hit, mean_cosine)
+            walk.land(stopped)
+            walk.turn_back(stopped)
+            walk.start_flights(alive)
             going = np.setdiff1d(going, ended, assume_unique=True)
         self._score(walk, going, weight, turned, score_at, spacing)
         self.sums[LOST] += _units(weight[going]).sum()
@@ -218,8 +223,8 @@ def _add_vector(tallies, voxel, tally, weight, vectors):
         _add(tallies, voxel, tally + axis, weight * (0.5 * vectors[:, axis] + 0.5))
 
 
-class _Walk:
-    """The state of many paths: the kernels' struct Path, with one row for each ray."""
+class Walk:
+    """The state of many paths: the kernels' structs Path and Place, with one row for each ray."""
 
     def __init__(self, grid, rays, per_depth, seed, indices):
         self.grid, self.per_depth = grid, per_depth
@@ -292,8 +297,12 @@ class _Walk:
         event[crossing] = np.where(self._cross_faces(rays[crossing]), CROSSED, LEFT)
         return event
 
-    def scatter(self, rays, g):
-        """Turn by a Henyey-Greenstein angle, and start anew."""
+    def arrive(self, rays):
+        """Go to where the flights have come."""
+        self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
+
+    def turn(self, rays, g):
+        """Turn `d` by a Henyey-Greenstein angle."""
         even = 2 * self.random.next(rays) - 1
         ratio = (1 - g * g) / (1 + g * even)
         small = abs(g) < 1e-3
@@ -314,9 +323,7 @@ class _Walk:
             ],
             axis=1,
         )
-        self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
         self.d[rays] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        self.start_flights(rays)
 
     def stop(self, rays, occlusion):
         """Cut flights at the first face of a voxel that stops them; whether one does."""
@@ -343,20 +350,23 @@ class _Walk:
             self.voxel[rays] = voxel[~stops]
         return stopped
 
-    def reflect(self, rays):
-        """Send stopped flights back, by the cosine about the face's normal (Lambert)."""
+    def land(self, rays):
+        """Go to the faces at which the flights were stopped, on the side that they came from."""
+        self.arrive(rays)
+        axis = self.stopped_axis[rays]
+        self.o[rays, axis] = self.voxel[rays, axis] + (self.d[rays, axis] >= 0)
+        self.cell[rays] = self.voxel[rays] // self.grid.size
+
+    def turn_back(self, rays):
+        """Turn `d` back from those faces, by the cosine about their normals (Lambert)."""
         squared = self.random.next(rays)
         around = 2 * np.pi * self.random.next(rays)
         aside = np.sqrt(1 - squared)
         axis = self.stopped_axis[rays]
         forward = self.d[rays, axis] >= 0
-        self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
-        self.o[rays, axis] = self.voxel[rays, axis] + forward
         self.d[rays, axis] = np.where(forward, -1, 1) * np.sqrt(squared)
         self.d[rays, (axis + 1) % 3] = aside * np.cos(around)
         self.d[rays, (axis + 2) % 3] = aside * np.sin(around)
-        self.cell[rays] = self.voxel[rays] // self.grid.size
-        self.start_flights(rays)
 
     def face(self, rays):
         """The face through which each flight leaves: -x, +x, -y, +y, -z, +z."""

@@ -10,7 +10,7 @@ import pyopencl as cl
 from .device import context, program, queue
 from .tallies import SUMS, UNIT, in_weights, kinds
 
-_GROUP = 64  # work-items; a multiple of every vector's width
+GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
 
 
@@ -20,31 +20,32 @@ class OpenclPaths:
     def __init__(self, grid, device):
         self.grid, self.device = grid, device
         self.context, self.queue = context(device), queue(device)
-        self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * _GROUP
+        self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * GROUP
         self.arguments = self._grid_arguments()
 
     def free_paths(self, rays, indices, per_depth, seed, most_steps):
-        """((n,) fine cells to the first real collision, number of bounds that were violated).
+        """((n,) fine cells to the first real collision, particles met, bounds that were violated).
 
         rays     (6, n) float32: origins in the domain, in fine cells, and unit directions
         indices  (n,) the numbers of the rays, which choose their random numbers
-        inf where a ray leaves, NaN where it takes over `most_steps` steps
+        inf where a ray leaves, NaN where it takes over `most_steps` steps. Of the particles, real
+        and virtual ones, and of the violated bounds it is the number in all rays
         """
         count = rays.shape[1]
         if count == 0:
-            return np.empty(0, np.float32), 0
+            return np.empty(0, np.float32), 0, 0
         numbers = indices.astype(np.uint32)  # named, as the kernel reads it after its call returns
         distances = np.empty(count, np.float32)
-        violations = np.empty(self.items, np.int32)
-        result, flaws = self._output(distances.nbytes), self._output(violations.nbytes)
-        _kernel(self._program("free_path.cl"), "free_paths")(
-            *(self.queue, (self.items,), (_GROUP,), *self.arguments, np.float32(per_depth)),
-            *(self._upload(rays), self._upload(numbers), np.int32(count)),
-            *(np.uint32(seed), np.int32(most_steps), result, flaws),
+        result = self.output(distances.nbytes)
+        met, flaws = (self.output(4 * self.items) for _ in range(2))
+        kernel(self.program("free_path.cl"), "free_paths")(
+            *(self.queue, (self.items,), (GROUP,), *self.arguments, np.float32(per_depth)),
+            *(self.upload(rays), self.upload(numbers), np.int32(count)),
+            *(np.uint32(seed), np.int32(most_steps), result, met, flaws),
         )
         cl.enqueue_copy(self.queue, distances, result)
-        cl.enqueue_copy(self.queue, violations, flaws)
-        return distances, int(violations.sum())
+        particles, violations = (int(self.read(b, np.int32).sum()) for b in (met, flaws))
+        return distances, particles, violations
 
     def start_tallies(self, shape, lower, per_cell, wanted, opaque):
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
@@ -56,8 +57,11 @@ class OpenclPaths:
         self.tally_shape, self.kinds = shape, kinds(*wanted)
         self.tally_arguments = (*map(np.int32, shape), np.float32(lower), np.float32(per_cell))
         defines = {"KEEP_DIRECT": direct, "KEEP_FLUX": flux, "OCCLUSION": opaque is not None}
-        self.photons = self._program("photons.cl", *(name for name, on in defines.items() if on))
-        self.opaque = [self._output(4)] * 2 if opaque is None else [*map(self._upload, opaque)]
+        self.photons = self.program(
+            *("scatter.cl", "photons.cl"),
+            defined=tuple(name for name, on in defines.items() if on),
+        )
+        self.opaque = [self.output(4)] * 2 if opaque is None else [*map(self.upload, opaque)]
         # Two words a tally; and OpenCL has no empty buffers.
         self.tallies = [self._zeros(max(8 * prod(shape) * n, 8)) for n in self.kinds]
         self.before = self._zeros(8 * prod(shape))
@@ -78,9 +82,9 @@ class OpenclPaths:
         """
         if photons.shape[1] == 0:
             return
-        _kernel(self.photons, "trace_photons")(
-            *(self.queue, (self.items,), (_GROUP,), *self.arguments, np.float32(per_depth)),
-            *(self._upload(photons), np.int32(photons.shape[1]), np.int32(copies)),
+        kernel(self.photons, "trace_photons")(
+            *(self.queue, (self.items,), (GROUP,), *self.arguments, np.float32(per_depth)),
+            *(self.upload(photons), np.int32(photons.shape[1]), np.int32(copies)),
             *(np.uint32(seed), np.uint32(first), np.int32(most_steps)),
             *map(np.float32, (*optics, spacing)),
             *(np.int32(last), *self.opaque, *self.tally_arguments, *self.tallies, self.sums),
@@ -89,7 +93,7 @@ class OpenclPaths:
 
     def take_batch(self, batch):
         """Tell that batch number `batch`, from 1 on, is complete."""
-        _kernel(self.photons, "take_batch")(
+        kernel(self.photons, "take_batch")(
             *(self.queue, (prod(self.tally_shape),), None, self.tallies[1], np.int32(batch)),
             *(self.before, self.deviation),
         )
@@ -101,8 +105,8 @@ class OpenclPaths:
         of the batches' scattered weight from its mean. sums is (SUMS,) float64.
         """
         tallies = (self._weights(*pair) for pair in zip(self.tallies, self.kinds, strict=True))
-        deviation = self._read(self.deviation, np.float32)
-        sums = self._read(self.sums, np.int64).reshape(-1, SUMS).sum(axis=0)
+        deviation = self.read(self.deviation, np.float32)
+        sums = self.read(self.sums, np.int64).reshape(-1, SUMS).sum(axis=0)
         return *tallies, deviation, in_weights(sums)
 
     def _weights(self, tally, kinds):
@@ -110,18 +114,18 @@ class OpenclPaths:
         voxels = prod(self.tally_shape)
         if not kinds:
             return np.empty((voxels, 0), np.float32)
-        lower, upper = self._read(tally, np.uint32).reshape(2, voxels, kinds)
+        lower, upper = self.read(tally, np.uint32).reshape(2, voxels, kinds)
         weights = upper * np.float32(2**32 / UNIT)
         weights += lower * np.float32(1 / UNIT)
         return weights
 
-    def _read(self, buffer, kind):
+    def read(self, buffer, kind):
         values = np.empty(buffer.size // np.dtype(kind).itemsize, kind)
         cl.enqueue_copy(self.queue, values, buffer)
         return values
 
-    def _program(self, kernels, *defined):
-        """The program of a file in kernels/ for this grid."""
+    def program(self, *kernels, defined=()):
+        """The program of files in kernels/ for this grid."""
         grid = self.grid
         noise = ["perlin.cl"] if grid.procedural else []
         defines = {
@@ -133,7 +137,7 @@ class OpenclPaths:
         }
         return program(
             self.device,
-            ("random.cl", *noise, "paths.cl", kernels),
+            ("random.cl", *noise, "paths.cl", *kernels),
             (*(name for name, on in defines.items() if on), *defined),
         )
 
@@ -144,28 +148,28 @@ class OpenclPaths:
             medium = grid.medium.device_arguments
             density = None
         else:
-            density = self._upload(fine.values)
+            density = self.upload(fine.values)
             medium = (density,)
         # Ray marching takes the density itself for a bound; noise has none, and needs none.
-        bound = density if grid.bound is None else self._upload(grid.bound.values)
+        bound = density if grid.bound is None else self.upload(grid.bound.values)
         return (
             *medium,
-            bound or self._output(4),
+            bound or self.output(4),
             *map(np.int32, (*fine.shape, *grid.cells, grid.size)),
             *map(np.float32, (fine.lower, *fine.upper, grid.majorant)),
         )
 
-    def _upload(self, values):
+    def upload(self, values):
         """A buffer of `values`; the array itself where the device shares the memory."""
         flags = cl.mem_flags
         keep = flags.USE_HOST_PTR if self.device.shares_memory else flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags.READ_ONLY | keep, hostbuf=values)
 
-    def _output(self, size):
+    def output(self, size):
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
     def _zeros(self, size):
-        buffer = self._output(size)
+        buffer = self.output(size)
         self._clear(buffer)
         return buffer
 
@@ -174,6 +178,6 @@ class OpenclPaths:
 
 
 @cache
-def _kernel(program, name):
+def kernel(program, name):
     """A kernel of a program, kept: to make one takes as long as to trace a thousand photons."""
     return cl.Kernel(program, name)

@@ -113,7 +113,7 @@ class Point:
         """The share of rays that collide."""
         count = RAYS // 16
         rays, indices = rays_through(self.grid, count), np.arange(count, dtype=np.uint32)
-        distances, _ = self.paths.free_paths(rays, indices, per_depth, 0, MOST_STEPS)
+        distances, *_ = self.paths.free_paths(rays, indices, per_depth, 0, MOST_STEPS)
         return np.isfinite(distances).mean()
 
     def _seconds(self, count, per_depth, seed):

@@ -46,7 +46,7 @@ def programs():
         defines = (*sampler, *linear, *(["PERLIN_MEDIUM"] if noise else []))
         yield (*files, "free_path.cl"), defines
         for kept in ((), ("KEEP_DIRECT", "KEEP_FLUX", "OCCLUSION")):
-            yield (*files, "photons.cl"), (*defines, *kept)
+            yield (*files, "scatter.cl", "photons.cl"), (*defines, *kept)
 
 
 def assembly(program, target):

@@ -233,7 +233,7 @@ def law_of_line(prepared, interpolation, count, seed):
     rays[3] = 1
     per_depth = prepared.grid.per_depth(0)
     numbers = np.arange(count)
-    lengths, violations = prepared.paths.free_paths(rays, numbers, per_depth, seed, 10**6)
+    lengths, _, violations = prepared.paths.free_paths(rays, numbers, per_depth, seed, 10**6)
     depths = depth_along_line(medium, interpolation, lengths * medium.voxel_size)
     depths[np.isinf(lengths)] = np.inf
     whole = depth_along_line(medium, interpolation, np.full(count, LENGTH))

@@ -153,7 +153,7 @@ def kernels(tmp_path_factory):
     def program(found, text):
         if isinstance(found, device.Device):
             return device.program(found, ("random.cl", written(text)), ())
-        return found._program(written(text))
+        return found.program(written(text))
 
     return program
 
@@ -318,7 +318,7 @@ def follow(paths, inside, directions, kernels):
     count = len(inside)
     pairs = outputs(paths.device, count, np.float32, np.float32, np.int32)
     cl.Kernel(kernels(paths, FOLLOW), "follow")(
-        *(paths.queue, (count,), None, *paths.arguments, vacuum, paths._upload(packed)),
+        *(paths.queue, (count,), None, *paths.arguments, vacuum, paths.upload(packed)),
         *(np.int32(count), np.int32(points), *(buffer for buffer, _ in pairs)),
     )
     return read(paths.device, pairs)
