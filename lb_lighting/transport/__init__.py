@@ -16,7 +16,9 @@ from .lights import PointLight, Sky, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
 from .perlin import PerlinMedium
 from .photons import trace
+from .preview import Picture, View, pictures
 from .solver import Settings, solve
+from .survey import Statistics, advice, histogram_picture, statistics
 
 __all__ = [
     "PRESETS",
@@ -34,15 +36,22 @@ __all__ = [
     "Optics",
     "PerlinMedium",
     "PhotonReport",
+    "Picture",
     "PointLight",
     "Report",
     "Settings",
     "SettingsError",
     "Sky",
     "SolverError",
+    "Statistics",
     "Sun",
+    "View",
+    "advice",
+    "histogram_picture",
     "paper_units",
+    "pictures",
     "sample_free_paths",
     "solve",
+    "statistics",
     "trace",
 ]

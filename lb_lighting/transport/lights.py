@@ -131,6 +131,19 @@ class Sky:
         _check_energy(radiance, "radiance of the sky")
         return radiance
 
+    def seen(self, bands):
+        """A function of unit vectors towards it, (n, 3), to its radiance, (n, bands) W/(m^2 sr)."""
+        if not callable(self.radiance):
+            radiance = by_band(self.radiance, bands)
+            return lambda towards: np.tile(radiance, (len(towards), 1))
+        look = _over_directions(self.radiance, _cell_centers())
+
+        def radiances(towards):
+            radiance = look(towards)
+            return np.stack([_of_band(radiance, bands, n) for n in range(bands)], axis=1)
+
+        return radiances
+
     def emit(self, count, medium, rng, band):
         """Photons on all faces. Those of a uniform sky have the same power, exactly pi times
         radiance times surface in all; those of a function have power as it shines, and are

@@ -47,6 +47,9 @@ def programs():
         yield (*files, "free_path.cl"), defines
         for kept in ((), ("KEEP_DIRECT", "KEEP_FLUX", "OCCLUSION")):
             yield (*files, "scatter.cl", "photons.cl"), (*defines, *kept)
+        if not linear:
+            for kept in ((), ("OCCLUSION", "EMISSION")):
+                yield (*files, "scatter.cl", "preview.cl"), (*defines, *kept)
 
 
 def assembly(program, target):
