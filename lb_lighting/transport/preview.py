@@ -141,7 +141,7 @@ def pictures(
             faster = _PIECE / max(perf_counter() - start, 1e-6)
             samples[pixels] += 1
             first += piece
-            piece = max(least, int(piece * np.clip(faster, 0.25, 4)))
+            piece = int(np.clip(piece * np.clip(faster, 0.25, 4), least, len(order)))
             done = int(samples.sum())
             pixels = _filled(sums, samples, view.size)
             yield Picture(pixels, done / len(order), look.lost / done)

@@ -274,6 +274,13 @@ def test_pictures_are_coarse_first_and_the_same_for_a_seed():
     assert np.array_equal(several[-1].pixels, one)
 
 
+def test_pictures_go_on():
+    """However quick they are."""
+    medium = patchy()
+    running = pictures(medium, [], View.onto(medium.domain, DOWN, size=(2, 2)), seed=1)
+    assert until(600, running)[-1].samples == 600
+
+
 def test_pictures_can_be_stopped():
     running = pictures(patchy(), [Sky(1.0)], View.onto(patchy().domain, DOWN, size=(8, 8)))
     next(running)

@@ -142,8 +142,8 @@ def told_of(medium):
     [
         (even(0.0), "nothing that light could meet"),
         (Medium(np.zeros((4, 4, 4)), 1.0, 1.0, 0.0), "nothing that light could meet"),
-        (even(0.05), "Optically thin, optical depth 0.05: single scattering is enough"),
-        (even(0.5, albedo=0.1), "Optically thin"),
+        (even(0.04), "Optically thin, optical depth 0.04: single scattering is enough"),
+        (even(0.4, albedo=0.1), "Optically thin"),
         (even(50.0, albedo=0.01), "Dark, albedo 0.01: single scattering is enough"),
         (even(2.0), "Moderate, optical depth 2: bake it, 64 voxels resolve"),
         (even(30.0), "Dense, optical depth 30: bake it, 64 voxels resolve"),
