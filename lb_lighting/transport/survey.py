@@ -22,8 +22,9 @@ _TIMED = 0.1  # s that a sampler is timed for, at least, unless it is done with 
 _BINS = 48
 _VOXELS_OF_NOISE = 64  # along an edge: noise itself is never summed up
 
-# Optical depth times albedo up to which light that scattered twice and more is about 5 %
-# of a picture at most, and albedo up to which it is at any depth (docs/free-paths.md, "Preview").
+# Optical depth times albedo up to which light that scattered twice and more is less than 5 % of a
+# picture (7 % if the medium scatters forward, away from the camera), and albedo up to which it is
+# at any depth: docs/free-paths.md, "Preview".
 _THIN, _DARK = 0.05, 0.04
 # Edge of a voxel in transport free paths: below the first, more voxels make light no more right
 # (docs/physics.md, "By resolution"); above the second, voxels are divided, as they are above the
