@@ -23,7 +23,9 @@ class _Panel:
         self.draw_settings(context, self.layout.column(), context.scene.lb_lighting)
 
 
-class _SubPanel(_Panel):
+class SubPanel(_Panel):
+    """What the panels below ours have in common: they draw their settings in a column."""
+
     bl_parent_id = "LB_PT_lighting"
 
 
@@ -47,10 +49,10 @@ class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convent
             box = layout.box().column(align=True)
             box.alert = running.failed
             for line in running.last:
-                _draw_text(box, line)
+                draw_text(box, line)
 
 
-class LB_PT_domain(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+class LB_PT_domain(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Domain"
 
     def draw_settings(self, _context, column, settings):
@@ -59,7 +61,7 @@ class LB_PT_domain(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
         column.prop(settings, "padding")
 
 
-class LB_PT_medium(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+class LB_PT_medium(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Medium"
 
     def draw_settings(self, context, column, settings):
@@ -73,7 +75,7 @@ class LB_PT_medium(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
             column.prop(ob.lb_lighting, "role")
 
 
-class LB_PT_solver(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+class LB_PT_solver(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Solver"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -88,7 +90,7 @@ class LB_PT_solver(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
         absorbed.prop(settings, "keep_absorbed")
 
 
-class LB_PT_output(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Output"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -98,8 +100,9 @@ class LB_PT_output(_SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
         column.prop(settings, "folder", placeholder="The .blend's")
 
 
-def _draw_text(layout, text):
+def draw_text(layout, text):
     """A sentence in as many lines as it needs."""
+    layout = layout.column(align=True)
     for number, part in enumerate(textwrap.wrap(text, WIDTH)):
         layout.label(text=part, icon="BLANK1" if number else "DOT")
 

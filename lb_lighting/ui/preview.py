@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The preview: a picture that gets ever better, a histogram of free paths, and advice.
+
+It is the session's alone: nothing of it is in the .blend.
+"""
+
+import bpy
+import bpy.utils.previews
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.props import BoolProperty
+
+from .. import bake, exchange
+from ..errors import LightingError
+from ..job import Job
+from ..preview import PICTURE, SURVEY, Preview
+from ..transport.preview import View
+from . import running
+from .panels import SubPanel, draw_text
+
+SIZE = 160  # pixels of the picture's edge
+SCALE = 9.0  # of the picture, in buttons
+DIM = 0.05  # linear, of what is behind the picture
+
+_job = None
+_survey = None
+_failed = ""
+_icons = None
+
+
+class LB_OT_preview(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Look at the selection's medium in the light of the scene, by free paths, without a bake. It \
+ends with any change"""
+
+    bl_idname = "lb_lighting.preview"
+    bl_label = "Preview LB Light"
+
+    noise: BoolProperty(
+        name="As Noise",
+        description="Fill the domain with fractal noise of 4096 cells along an edge, which no "
+        "grid could hold, in place of the selection's own density",
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if running.baking is not None:
+            cls.poll_message_set("A bake or an estimate is under way; it needs the device")
+        elif not context.selected_objects:
+            cls.poll_message_set("Select a volume, a smoke domain or a mesh")
+        else:
+            return True
+        return False
+
+    def execute(self, context):
+        options = bake.Options.of(context.scene)
+        try:
+            objects = bake.sources_of(context.scene, context.selected_objects)
+            task = Preview(bake.gather(context, objects, options), _view(context), self.noise)
+            start(Job(task))
+        except LightingError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if bpy.app.background:
+            while look() is not None:
+                pass
+        return {"FINISHED"}
+
+
+class LB_OT_preview_stop(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """End the preview"""
+
+    bl_idname = "lb_lighting.preview_stop"
+    bl_label = "Stop LB Preview"
+
+    def execute(self, _context):
+        stop()
+        return {"FINISHED"}
+
+
+class LB_PT_preview(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
+    bl_label = "Free-Path Preview"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_settings(self, _context, column, _settings):
+        if _job is None:
+            row = column.row(align=True)
+            row.operator(LB_OT_preview.bl_idname, text="Preview", icon="HIDE_OFF").noise = False
+            row.operator(LB_OT_preview.bl_idname, text="As Noise").noise = True
+        else:
+            stage, fraction = _job.status
+            column.progress(factor=fraction, text=stage)
+            column.operator(LB_OT_preview_stop.bl_idname, text="Stop", icon="CANCEL")
+        if _failed:
+            draw_text(column, _failed)
+        if PICTURE in _icons:
+            column.template_icon(_icons[PICTURE].icon_id, scale=SCALE)
+        if _survey is not None:
+            _draw_survey(column, _survey)
+
+
+def _draw_survey(column, survey):
+    found = survey.statistics
+    draw_text(column, survey.advice)
+    column.template_icon(_icons[SURVEY].icon_id, scale=SCALE / 2)
+    grid = column.grid_flow(columns=2, row_major=True, even_columns=True)
+    for name, value in (
+        ("Mean free path", _length(found.mean_free_path)),
+        ("in matter", _length(found.in_matter)),
+        ("Optical depth", " x ".join(f"{depth:.3g}" for depth in found.depth_max)),
+        ("of a voxel", f"{found.voxel_depth_max:.2g}"),
+        ("Leave unscattered", f"{found.escaped:.0%}"),
+        ("Void", f"{found.void:.0%}"),
+    ):
+        grid.label(text=name)
+        grid.label(text=value)
+    for name, sampling in found.samplers.items():
+        grid.label(text=name.replace("_", " "))
+        grid.label(text=f"{sampling.acceptance:.0%}, {sampling.rays_a_second / 1e6:.2g} M rays/s")
+
+
+def start(job):
+    """Show what `job`, of a `Preview`, finds."""
+    global _job, _survey, _failed
+    stop()
+    _job, _survey, _failed = job, None, ""
+    _icons.clear()
+    if not bpy.app.background:
+        bpy.app.timers.register(look, first_interval=running.INTERVAL)
+
+
+def stop():
+    """End the preview at once; its picture stays."""
+    global _job
+    if _job is not None:
+        _job.cancel()
+    _job = None
+    running.redraw()
+
+
+def look():
+    """Show what is new; the seconds until the next look, or None where there will be none."""
+    global _survey, _failed
+    if _job is None:
+        return None
+    if _job.task.light.options != bake.Options.of(bpy.context.scene):
+        stop()
+        return None
+    try:
+        done = _job.update(wait=0.1 if bpy.app.background else 0.0)
+        if _job.said.pop(PICTURE, False):
+            _show(PICTURE, _over(_load(PICTURE)))
+        if _job.said.pop(SURVEY, False):
+            _survey = _load(SURVEY)
+            _show(SURVEY, _square(_survey.histogram))
+    except LightingError as error:
+        _failed, done = str(error), True
+    if done:
+        stop()
+        return None
+    running.redraw()
+    return running.INTERVAL
+
+
+def _load(name):
+    return exchange.load(f"{_job.folder.name}/{name}")
+
+
+def _show(name, pixels):
+    """Keep pixels (height, width, 4), as displays have them, as the icon `name`."""
+    icon = _icons[name] if name in _icons else _icons.new(name)
+    icon.image_size = pixels.shape[1::-1]
+    icon.image_pixels_float.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+
+
+def _over(picture):
+    """A picture of light, laid over something dim, as displays have it."""
+    exposed = picture[..., :3] * 2**bpy.context.scene.view_settings.exposure
+    light = np.clip(exposed + DIM * (1 - picture[..., 3:]), 0, 1)
+    srgb = np.where(light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.concatenate([srgb, np.ones_like(picture[..., 3:])], axis=2)
+
+
+def _square(picture):
+    """With what is missing to a square above and below: icons are squares."""
+    height, width = picture.shape[:2]
+    pad = (width - height) // 2
+    return np.pad(picture, [(pad, width - height - pad), (0, 0), (0, 0)])
+
+
+def _length(metres):
+    if not np.isfinite(metres):
+        return "none"
+    return f"{metres:.3g} m"
+
+
+def _view(context):
+    """What the 3D view shows, or None where there is none."""
+    area = context.area
+    if area is None or area.type != "VIEW_3D":
+        return None
+    region = area.spaces.active.region_3d
+    matrix = np.array(region.view_matrix.inverted())
+    height = 2 / region.window_matrix[1][1]
+    return View(matrix, height, (SIZE, SIZE), region.is_perspective)
+
+
+@persistent
+def _stop_with_a_change(_scene, depsgraph):
+    if _job is not None and len(depsgraph.updates):
+        stop()
+
+
+@persistent
+def _stop_anyway(*_arguments):
+    stop()
+
+
+_HANDLERS = ((bpy.app.handlers.depsgraph_update_post, _stop_with_a_change),
+             (bpy.app.handlers.frame_change_post, _stop_anyway),
+             (bpy.app.handlers.load_pre, _stop_anyway))  # fmt: skip
+_CLASSES = (LB_OT_preview, LB_OT_preview_stop, LB_PT_preview)
+
+
+def register():
+    global _icons
+    _icons = bpy.utils.previews.new()
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    for handlers, ours in _HANDLERS:
+        handlers.append(ours)
+
+
+def unregister():
+    stop()
+    for handlers, ours in _HANDLERS:
+        handlers.remove(ours)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
+    bpy.utils.previews.remove(_icons)
