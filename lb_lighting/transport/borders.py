@@ -13,25 +13,29 @@ REFLECTED = (_SLOPE - 1) / (_SLOPE + 1)
 (negative: more is let out), which sets how far outside the fluence extrapolates to zero."""
 
 
-def returned(depth, albedo, g):
+def returned(depth, albedo, g, edge=None):
     """(nx, ny, nz), the share of light leaving a voxel through an open face that comes back.
 
     `REFLECTED` where the domain would be thick if it were filled with what the voxel holds, and
-    none where it is empty: what leaves there has scattered elsewhere.
+    none where it is empty: what leaves there has scattered elsewhere. edge is that of
+    `NumpyLattice`.
     """
+    edge = edge or max(depth.shape)
     with np.errstate(divide="ignore", over="ignore"):
-        return REFLECTED / (1 + 1 / (max(depth.shape) * depth * (1 - albedo * g)))
+        return REFLECTED / (1 + 1 / (edge * depth * (1 - albedo * g)))
 
 
-def mirrors(depth, albedo, g, occlusion, cells):
+def mirrors(depth, albedo, g, occlusion, cells, edge=None):
     """Where light that leaves comes back: (outside, {face: (cells, shares)}).
+
+    edge is that of `NumpyLattice`.
 
     outside  (count,), the share in each cell outside of the domain, the mean of those of the voxels
              whose light comes there; 0 inside
     face     0 to 5 for -x, +x, -y, +y, -z, +z: in these empty cells the share of what came through
              that face, an open one, goes back
     """
-    share, inside = cells.flat(returned(depth, albedo, g)), cells.is_inside()
+    share, inside = cells.flat(returned(depth, albedo, g, edge)), cells.is_inside()
     around = np.flatnonzero(~inside)
     arriving, sources = (
         sum(values.take(around - step, mode="wrap") for step in cells.steps)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import Cancelled
 from . import device as devices
+from .crop import Box
 from .fade import fade, own_place
 from .lights import Emission, Sky, Sun, rank_1, shift_of
 from .sweep import Beam, NumpySweep
@@ -50,7 +51,8 @@ class Cast:
 
     direct     (nx, ny, nz) W/m^2, its fluence
     flux       (3, nx, ny, nz) W/m^2, its net flux
-    collided   `Moments` of its first collisions, before any albedo; with the directions before
+    collided   `Moments` of its first collisions, before any albedo; with the directions before;
+               of voxels in the box that was asked for, like the next
     reflected  (nx, ny, nz) W, what opaque matter reflects, by the voxel that it goes back into;
                None without opaque voxels
     left       (6,) W, through the faces -x, +x, -y, +y, -z, +z
@@ -83,7 +85,7 @@ class _Voxels:
     glow: np.ndarray | None
 
 
-def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None):
+def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, box=None):
     """Send the unscattered light of one light and band through a medium.
 
     medium    a `Medium`
@@ -92,11 +94,12 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None):
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
     per_edge  rays along a voxel's edge: see `rays` of each light
     cancel    called without arguments; the cast ends with `Cancelled` where it returns true
+    box       a `Box` that holds all matter; None for the whole domain
     Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
     """
-    device = devices.choose(device)
+    device, box = devices.choose(device), box or Box.all(medium.shape)
     if isinstance(light, (Sun, Sky)) and medium.occlusion is None:
-        return _swept(medium, light, band, sigma_t, device, per_edge, cancel)
+        return _swept(medium, box, light, band, sigma_t, device, per_edge, cancel)
     emission = light.spectrum[band] if isinstance(light, Emission) else None
     voxels = _voxels(medium, band, sigma_t, emission)
     march = _march(device, voxels, directed=not isinstance(light, Sun))
@@ -119,7 +122,7 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None):
         entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
         unit = entered / sums[_EMITTED]
     toward = _toward(light) if isinstance(light, Sun) else None
-    return _cast(medium, sigma_t, unit, (tallies, reflected, sums), toward, entered)
+    return _cast(medium, box, sigma_t, unit, (tallies, reflected, sums), toward, entered)
 
 
 def plan(shape, occluded=True):
@@ -134,7 +137,7 @@ def plan(shape, occluded=True):
     return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
 
 
-def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
+def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
     """The `Cast` of a sun or a sky where nothing is opaque: of each of its suns, by layers."""
     directions, irradiances, of_each = light.suns(medium, band, per_edge)
     lattice, depth = rank_1(of_each**2), medium.depth(sigma_t)
@@ -157,7 +160,7 @@ def _swept(medium, light, band, sigma_t, device, per_edge, cancel):
         for part, component in zip(tallies[_DIRECTION], direction, strict=False):  # none alone
             part += np.float32(component) * score
     toward = directions[0] if alone else None
-    return _cast(medium, sigma_t, strongest, (tallies, None, left), toward, entered)
+    return _cast(medium, box, sigma_t, strongest, (tallies, None, left), toward, entered)
 
 
 def _sweep(device, beam, depth):
@@ -248,21 +251,23 @@ def _toward(sun):
     return np.divide(sun.direction, np.linalg.norm(sun.direction))
 
 
-def _cast(medium, sigma_t, unit, scores, toward, entered):
+def _cast(medium, box, sigma_t, unit, scores, toward, entered):
     """The `Cast` of what a march has read; `toward` where all its rays have that direction."""
     tallies, reflected, sums = scores
     h, depth = medium.voxel_size, medium.depth(sigma_t)
-    score = tallies[_SCORE]
-    shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, depth)
+    shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, box.of(depth))
+    score, inside = tallies[_SCORE], box.of(tallies)
     if toward is None:
-        along, flowing = (_product(of, tallies[_DIRECTION]) for of in (colliding, shining))
+        along = _product(colliding, inside[_DIRECTION])
+        flowing = _product(shining, tallies[_DIRECTION])
     else:
         toward = np.reshape(toward, (3, 1, 1, 1))
-        along, flowing = (_product(toward, of * score) for of in (colliding, shining))
-    place = _product(colliding * h, tallies[_POSITION])
-    collided = Moments(_product(colliding, score), place, along)
+        along = _product(toward, colliding * inside[_SCORE])
+        flowing = _product(toward, shining * score)
+    place = _product(colliding * h, inside[_POSITION])
+    collided = Moments(_product(colliding, inside[_SCORE]), place, along)
     if reflected is not None:
-        reflected = (unit * reflected.astype(float)).astype(np.float32)
+        reflected = (unit * box.of(reflected).astype(float)).astype(np.float32)
     left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
     return Cast(_product(shining, score), flowing, collided, reflected, left, stopped, entered)
 

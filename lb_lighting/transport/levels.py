@@ -26,10 +26,11 @@ class Level:
     make  function that makes a lattice of what follows, the arguments of `NumpyLattice`
     """
 
-    def __init__(self, make, depth, albedo, g, occlusion=None, occlusion_albedo=0.0):
+    def __init__(self, make, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
         self.make, self.optics = make, (albedo, g)
         self.depth, self.opaque = depth, (occlusion, occlusion_albedo)
-        self.lattice = make(depth, albedo, g, occlusion, occlusion_albedo)
+        self.edge = edge or max(depth.shape)
+        self.lattice = make(depth, albedo, g, occlusion, occlusion_albedo, edge=self.edge)
 
     @property
     def is_coarsest(self):
@@ -37,7 +38,8 @@ class Level:
 
     @cached_property
     def coarser(self):
-        return Level(self.make, 2 * _mean(self.depth), *self.optics, *_halved(*self.opaque))
+        optics = (*self.optics, *_halved(*self.opaque))
+        return Level(self.make, 2 * _mean(self.depth), *optics, edge=self.edge / 2)
 
     def correct(self):
         """Take two steps, and add what is still to come: the number of steps."""

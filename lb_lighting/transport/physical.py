@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import Cancelled, DeviceError, LightError, MediumError
 from . import device as devices
 from . import direct, photons
+from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
 from .lights import FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
@@ -238,12 +239,12 @@ class _Band:
 
 
 class _Handover:
-    """What is handed to the lattice of one band, added up."""
+    """What is handed to the lattice of one band, added up, in the voxels of its box."""
 
-    def __init__(self, medium):
-        self.voxel_size = medium.voxel_size
-        self.power, self.reflected = np.zeros((2, *medium.shape))
-        self.place, self.direction = np.zeros((2, 3, *medium.shape))
+    def __init__(self, medium, box):
+        self.voxel_size, self.box = medium.voxel_size, box
+        self.power, self.reflected = np.zeros((2, *box.shape))
+        self.place, self.direction = np.zeros((2, 3, *box.shape))
 
     def add(self, moments, share, mean_cosine):
         """The share of `direct.Moments` that goes on, and the mean cosine that it turns by."""
@@ -253,7 +254,7 @@ class _Handover:
         self.direction += moments.direction * (share * mean_cosine / area)
 
     def add_reflected(self, power):
-        """(nx, ny, nz) W that opaque voxels send into each voxel."""
+        """(nx, ny, nz) W that opaque voxels send into each voxel of the box."""
         self.reflected += power / self.voxel_size**2
 
     def largest(self):
@@ -282,7 +283,7 @@ class _Work:
         """The `Field` of the lights and the medium's emission."""
         shining = lights if medium.emission is None else [*lights, Emission(medium)]
         last = _last_collision(medium, self.settings)
-        runs = _runs(medium, shining, apart=last == 1)
+        runs, box = _runs(medium, shining, apart=last == 1), _box(medium, lights)
         traced = self._trace(medium, lights, last) if last > 1 else None
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
@@ -290,7 +291,7 @@ class _Work:
         for number, (band, multiples, some) in enumerate(runs):
             self.begun = begun + (1 - begun) * number / len(runs)
             self.share = (1 - begun) / len(runs)
-            lit = self._band(medium, [shining[n] for n in some], band, traced)
+            lit = self._band(medium, box, [shining[n] for n in some], band, traced)
             for other, factor in multiples.items():
                 _take(field, lit, some, other, factor)
         field.report.converged = field.report.residual <= self.settings.tolerance
@@ -332,16 +333,16 @@ class _Work:
                 cancel=self.cancel,
             )
 
-    def _band(self, medium, lights, band, traced):
+    def _band(self, medium, box, lights, band, traced):
         self._tell("direct", self.begun)
         lit = _Band.dark(medium.shape, len(lights))
         with self.clock("direct"):
             if traced is None:
-                handover = self._first_collisions(medium, lights, band, lit)
+                handover = self._first_collisions(medium, box, lights, band, lit)
             else:
-                handover = _handed_over(medium, band, traced, lit)
+                handover = _handed_over(medium, box, band, traced, lit)
                 for number, part in _parts(lights):
-                    cast = self._cast(medium, part, band, medium.sigma_t[band], shadowed=False)
+                    cast = self._cast(medium, box, part, band, medium.sigma_t[band], shadowed=False)
                     lit.add_unscattered(number, cast)
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
@@ -352,20 +353,20 @@ class _Work:
         if self.progress is not None:
             self.progress(stage, fraction)
 
-    def _cast(self, medium, light, band, sigma_t, shadowed=True):
+    def _cast(self, medium, box, light, band, sigma_t, shadowed=True):
         shadow = getattr(light, "shadow_density", None)
         if shadow is not None and shadowed:
             medium = medium.altered(density=shadow)
         rays = _RAYS if max(medium.shape) <= FEW_VOXELS else _RAYS_AMONG_MANY
         if isinstance(light, (Sky, Emission)):
             rays = _RAYS_OF_SKY
-        return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel)
+        return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel, box)
 
-    def _first_collisions(self, medium, lights, band, lit):
+    def _first_collisions(self, medium, box, lights, band, lit):
         """The `_Handover` of first collisions; what else they tell goes to `lit`."""
-        handover = _Handover(medium)
+        handover = _Handover(medium, box)
         for number, part in _parts(lights):  # one at a time, for a cast takes much memory
-            unscattered = self._cast(medium, part, band, medium.sigma_t[band])
+            unscattered = self._cast(medium, box, part, band, medium.sigma_t[band])
             if _is_uniform(part, medium, band):
                 self._take_missing(medium, part, band, unscattered, handover, lit)
             else:
@@ -375,7 +376,7 @@ class _Work:
 
     def _take_collided(self, medium, light, band, unscattered, handover, lit):
         """Hand over the first collisions of a light."""
-        cast, share, straight = self._cast_forward(medium, light, band, unscattered)
+        cast, share, straight = self._cast_forward(medium, handover.box, light, band, unscattered)
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
             handover.add_reflected(cast.reflected)
@@ -398,7 +399,7 @@ class _Work:
         np.minimum(unscattered.direct, 4 * np.pi * radiance, out=unscattered.direct)
         absorbing = medium.sigma_a[band] * medium.density
         dark = Emission(medium.altered(emission=4 * np.pi * radiance * absorbing))
-        cast, share, straight = self._cast_forward(medium, dark, band, None)
+        cast, share, straight = self._cast_forward(medium, handover.box, dark, band, None)
         handover.add(cast.collided, -share, straight)
         lit.fluence += 4 * np.pi * radiance - cast.direct - unscattered.direct
         lit.flux -= cast.flux + unscattered.flux
@@ -408,7 +409,7 @@ class _Work:
         lit.energy["entered"] += through_faces.sum()
         lit.energy["left"] += through_faces - cast.left
 
-    def _cast_forward(self, medium, light, band, unscattered):
+    def _cast_forward(self, medium, box, light, band, unscattered):
         """(`direct.Cast`, share of its collisions that scatters, mean cosine of that).
 
         The forward peak counts as unscattered: of what scatters, the share f = g^2 goes straight
@@ -422,22 +423,23 @@ class _Work:
         cast = unscattered
         if forward > 0 or cast is None:
             less = medium.sigma_t[band] - forward * medium.sigma_s[band]
-            cast = self._cast(medium, light, band, less)
+            cast = self._cast(medium, box, light, band, less)
         share = albedo * (1 - forward) / (1 - albedo * forward)
         return cast, share, (g - forward) / (1 - forward)
 
     def _scatter(self, medium, band, handover, lit):
         """Add to the `_Band` what the lattice makes of a `_Handover`."""
-        scale = handover.largest()
+        box, scale = handover.box, handover.largest()
         if not np.isfinite(scale):
             raise LightError("The light is too strong to reckon with; lower its strength.")
         if scale == 0:
             return
-        depth = medium.depth(medium.sigma_t[band])
+        depth = box.of(medium.depth(medium.sigma_t[band]))
         transport_depth = depth * (1 - medium.albedo[band] * medium.g[band])
         optics = (medium.albedo[band], medium.g[band])
-        opaque = (medium.occlusion, medium.occlusion_albedo[band])
-        level = Level(lattice_maker(self.device), depth, *optics, *opaque)
+        opaque = map(box.of, (medium.occlusion, medium.occlusion_albedo[band]))
+        edge = max(medium.shape)
+        level = Level(lattice_maker(self.device), depth, *optics, *opaque, edge)
         lattice = level.lattice
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
         lattice.start(handover.source(transport_depth, scale))
@@ -445,13 +447,15 @@ class _Work:
             level, self.settings.tolerance, self.settings.most_steps, self._tell_error
         )
         fluence = lattice.fluence().astype(float)
-        lit.fluence += scale * fluence
+        box.of(lit.fluence)[...] += scale * fluence
         # The lattice starts light at a voxel's centre, and moves it to where it collided first.
-        lit.flux += scale * lattice.flux() - handover.place
+        box.of(lit.flux)[...] += scale * lattice.flux() - handover.place
         left, stopped = lattice.lost()
+        if not box.is_whole:
+            left = stream_on(lattice, box, scale, lit.fluence, lit.flux)
         watts = scale * medium.voxel_size**2
         lit.energy["left"] += watts * left
-        absorbed = np.sum(medium.depth(medium.sigma_a[band]) * fluence)
+        absorbed = np.sum(box.of(medium.depth(medium.sigma_a[band])) * fluence)
         lit.energy["absorbed"] += watts * (absorbed + stopped)
 
     def _tell_error(self, error):
@@ -460,6 +464,13 @@ class _Work:
         tolerance = self.settings.tolerance
         reached = np.log(max(error, tolerance)) / np.log(tolerance)
         self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))
+
+
+def _box(medium, lights):
+    """The `Box` of all that light may collide with."""
+    shadows = [getattr(light, "shadow_density", None) for light in lights]
+    grids = (medium.density, medium.occlusion, *shadows)
+    return Box.around([grid for grid in grids if grid is not None])
 
 
 def _distinct(medium, lights):
@@ -517,7 +528,7 @@ def _last_collision(medium, settings):
     return max(settings.traced_collisions, 1 + round(float(collisions.max())))
 
 
-def _handed_over(medium, band, traced, lit):
+def _handed_over(medium, box, band, traced, lit):
     """The `_Handover` of photons at their last collision; what they lit before goes to `lit`."""
     lit.fluence += traced.fluence[band]
     lit.flux += traced.flux[band]
@@ -525,10 +536,10 @@ def _handed_over(medium, band, traced, lit):
     for where in lit.energy:
         lit.energy[where] += energy[where][band]
     lit.energy["absorbed"] += energy["lost"][band]
-    handover, handed = _Handover(medium), traced.handed
+    handover, handed = _Handover(medium, box), traced.handed
     if handed is not None:
         moments = (handed.power[band], handed.position[band], handed.direction[band])
-        handover.add(direct.Moments(*moments), 1.0, medium.g[band])
+        handover.add(direct.Moments(*map(box.of, moments)), 1.0, medium.g[band])
     return handover
 
 

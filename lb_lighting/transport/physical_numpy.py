@@ -77,13 +77,14 @@ class NumpyLattice:
     albedo, g         of the band
     occlusion         (nx, ny, nz) or None, the share of arriving light that a voxel stops
     occlusion_albedo  (nx, ny, nz) or a number, the share of that which goes back
+    edge              voxels, the longest of a domain of which this is a part; None if it is all
     """
 
-    def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0):
+    def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.steps = self.cells.steps
         depth = np.asarray(depth, float)
-        self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells)
+        self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells, edge)
         self.inside = self.cells.is_inside()
         self.occluders = None
         if occlusion is not None:
@@ -201,13 +202,17 @@ class NumpyLattice:
         passing = self.light * (1 - self.odd / 2) + self.drift / 2
         return self.cells.inside(MOVING.T.astype(float) @ passing)
 
+    def leaving(self):
+        """Yields for each direction (nx, ny, nz) W/m^2: what flowed on by the last step, by the
+        voxel that it left; less of what leaves all of these where some of it comes back."""
+        for light, step in zip(self.light, self.steps, strict=True):
+            yield self.cells.inside(np.roll((1 - self.outside) * light, -step))
+
     def lost(self):
         """(left (6,), stopped): the light of a step that leaves through the faces -x, +x, -y, +y,
         -z, +z, and that occluders absorb; sums over voxels of W/m^2."""
         left = np.zeros(6)
-        leaving = (1 - self.outside) * self.light
-        for m, (c, step) in enumerate(zip(MOVING, self.steps, strict=True)):
-            gone = self.cells.inside(np.roll(leaving[m] * ~self.inside, -step))
+        for c, gone in zip(MOVING, self.leaving(), strict=True):
             for axis in np.flatnonzero(c):  # a diagonal leaves through the first face of the two
                 border = (slice(None),) * axis + (-1 if c[axis] > 0 else 0,)
                 left[2 * axis + (c[axis] > 0)] += gone[border].sum()

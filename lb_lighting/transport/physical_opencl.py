@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 
 from .borders import REFLECTED, mirrors
-from .cells import GROUP, MEAN_LENGTH, SECOND_MOMENT, WEIGHTS, Cells
+from .cells import GROUP, MEAN_LENGTH, OPPOSITE, SECOND_MOMENT, WEIGHTS, Cells
 from .device import context, program, queue
 from .levels import shapes
 from .physical_numpy import CROWDED
@@ -34,7 +34,7 @@ _CONSTANTS = (
 class OpenCLLattice:
     """The lattice of one band on a device, with the arguments of `physical_numpy.NumpyLattice`."""
 
-    def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device):
+    def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device, edge=None):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.context, self.queue = context(device), queue(device)
         self.program = program(device, _SOURCES, _CONSTANTS)
@@ -43,7 +43,7 @@ class OpenCLLattice:
         self.swapped, self.kind = np.int32(0), None
 
         cells = self.cells
-        outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells)
+        outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells, edge)
         depths = np.where(cells.is_inside(), cells.flat(depth), -1 - outside / REFLECTED)
         self.depths = self._upload(depths)
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
@@ -159,6 +159,17 @@ class OpenCLLattice:
     def flux(self):
         """(3, nx, ny, nz) W/m^2, float32."""
         return self._read("read_flux", (3, *self.shape))
+
+    def leaving(self):
+        """As the twin's."""
+        depths, light = np.empty((2, self.cells.count), np.float32)
+        cl.enqueue_copy(self.queue, depths, self.depths)
+        staying = np.where(depths < 0, REFLECTED * (-1 - depths), 0)
+        for m, step in enumerate(self.cells.steps):
+            lies = (OPPOSITE[m], 0) if self.swapped else (m, step)
+            offset = self.cells.first + lies[0] * _stride(self.cells) + lies[1]
+            cl.enqueue_copy(self.queue, light, self.light, src_offset=4 * int(offset))
+            yield self.cells.inside((1 - np.roll(staying, -step)) * light)
 
     def lost(self):
         """(left (6,), stopped), as of the twin."""
