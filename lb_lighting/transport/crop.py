@@ -69,44 +69,77 @@ def stream_on(lattice, box, scale, fluence, flux):
     """
     left = np.zeros(6)
     for leaving, c, length in zip(lattice.leaving(), MOVING, LENGTHS, strict=True):
-        light = np.multiply(leaving, scale, dtype=fluence.dtype)
-        for start, sheet in _sheets(light, c, np.array(box.lower)):
-            _fly(sheet, start, c, length, fluence, flux, left)
-    return left / scale
+        targets = [(fluence, scale * length)]
+        targets += [(part, scale * n) for part, n in zip(flux, c, strict=True) if n]
+        axes = np.flatnonzero(c)
+        faces = 2 * axes + (c[axes] > 0)
+        left[faces] += _fly(_Way(box, c), leaving, targets)
+    return left
 
 
-def _sheets(light, c, lower):
-    """[((3,) voxel of its first corner, light)] that has just left a box along c, by the faces
-    that it left through; each diagonal's by the first of its two."""
-    rest = [slice(None)] * 3
-    for axis in np.flatnonzero(c):
-        last, others = (slice(-1, None), slice(-1)) if c[axis] > 0 else (slice(1), slice(1, None))
-        at = tuple(last if n == axis else part for n, part in enumerate(rest))
-        first = [part.indices(n)[0] for part, n in zip(at, light.shape, strict=True)]
-        yield lower + first + c, light[at]
-        rest[axis] = others
+class _Way:
+    """A domain as light finds it that flies along a direction: all steps lead upwards.
+
+    axis    along which it goes from plane to plane
+    across  the other axis along which it moves, among a plane's two; None if there is none
+    begin, end, planes  the box's first plane and that behind it, and how many there are
+    inside  the box, in a plane
+    """
+
+    def __init__(self, box, c):
+        self.box, self.c = box, c
+        self.axis, *others = np.flatnonzero(c)
+        self.across = others[0] - 1 if others else None
+        ends = [
+            (n - b, n - a) if step < 0 else (a, b)
+            for a, b, n, step in zip(box.lower, box.upper, box.whole, c, strict=True)
+        ]
+        self.planes = box.whole[self.axis]
+        self.begin, self.end = ends.pop(self.axis)
+        moves = np.delete(c, self.axis) != 0
+        self.inside = tuple(
+            slice(*span) if moving else slice(None)
+            for span, moving in zip(ends, moves, strict=True)
+        )
+
+    def turned(self, grid):
+        """A view of a grid of the domain: what may be reached, by planes."""
+        reached = tuple(
+            slice(None) if step else slice(a, b)
+            for a, b, step in zip(self.box.lower, self.box.upper, self.c, strict=True)
+        )
+        return self.flipped(grid[reached])
+
+    def flipped(self, grid):
+        return np.moveaxis(np.flip(grid, np.flatnonzero(self.c < 0)), self.axis, 0)
 
 
-def _fly(sheet, start, c, length, fluence, flux, left):
-    """Add to all voxels that a sheet of light crosses, and in the end to what has left."""
-    while sheet.size:
-        for axis in np.flatnonzero(c):
-            sheet, out, start = _split(sheet, start, axis, c[axis], fluence.shape[axis])
-            left[2 * axis + (c[axis] > 0)] += out.sum(dtype=float)
-        at = tuple(slice(a, a + n) for a, n in zip(start, sheet.shape, strict=True))
-        fluence[at] += length * sheet
-        for part, component in zip(flux, c, strict=True):
-            if component:
-                part[at] += component * sheet
-        start = start + c
+def _fly(way, leaving, targets):
+    """Add light, times a factor, to each of the targets (grid, factor) where it comes by outside
+    of the box; what leaves the domain through the end of the first axis, and of the second."""
+    light, left = way.flipped(leaving), np.zeros(1 if way.across is None else 2)
+    targets = [(way.turned(grid), factor) for grid, factor in targets]
+    flow = np.zeros(targets[0][0].shape[1:], leaving.dtype)
+    for plane in range(way.begin, way.planes):
+        if plane < way.end:
+            flow[way.inside] = 0
+        for grid, factor in targets:
+            grid[plane] += factor * flow
+        if plane < way.end:
+            flow[way.inside] = light[plane - way.begin]
+        if way.across is not None and plane < way.planes - 1:
+            flow, out = _moved(flow, way.across)
+            left[1] += out
+    left[0] = flow.sum(dtype=float)
+    return left
 
 
-def _split(sheet, start, axis, forward, end):
-    """(what of a sheet is in the domain, what is beyond its end along an axis, its new start)."""
-    inside = end - start[axis] if forward > 0 else max(0, -start[axis])
-    lower, upper = np.split(sheet, [min(max(inside, 0), sheet.shape[axis])], axis)
-    if forward > 0:
-        return lower, upper, start
-    start = start.copy()
-    start[axis] = max(start[axis], 0)
-    return upper, lower, start
+def _moved(flow, axis):
+    """(light in a plane that has moved on by a voxel along an axis, the sum of what it lost)."""
+    first, last, rest, ahead = (
+        (slice(None),) * axis + (part,)
+        for part in (slice(1), slice(-1, None), slice(-1), slice(1, None))
+    )
+    moved = np.empty_like(flow)
+    moved[first], moved[ahead] = 0, flow[rest]
+    return moved, flow[last].sum(dtype=float)

@@ -85,6 +85,24 @@ class _Voxels:
     glow: np.ndarray | None
 
 
+@dataclass(frozen=True)
+class _Scores:
+    """What rays scored, in weights.
+
+    score      (nx, ny, nz)
+    position   (3, of the box)
+    direction  (3, nx, ny, nz), or (3,) the unit vector where all rays have one
+    reflected  (nx, ny, nz), or None without opaque voxels
+    sums       as in kernels/direct.cl
+    """
+
+    score: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
+    reflected: np.ndarray | None
+    sums: np.ndarray
+
+
 def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, box=None):
     """Send the unscattered light of one light and band through a medium.
 
@@ -117,12 +135,13 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
         entered += float(power.sum())
         march.march(places, directions[hit], power * (brightest / unit), starts, faces)
     tallies, reflected, sums = march.read()
+    toward = _toward(light) if isinstance(light, Sun) else tallies[_DIRECTION]
+    scores = _Scores(tallies[_SCORE], box.of(tallies[_POSITION]), toward, reflected, sums)
     if emission is not None and unit > 0:
         # What rays gathered is a little off the whole, which is known.
         entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
         unit = entered / sums[_EMITTED]
-    toward = _toward(light) if isinstance(light, Sun) else None
-    return _cast(medium, box, sigma_t, unit, (tallies, reflected, sums), toward, entered)
+    return _cast(medium, box, sigma_t, unit, scores, entered)
 
 
 def plan(shape, occluded=True):
@@ -143,24 +162,28 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
     lattice, depth = rank_1(of_each**2), medium.depth(sigma_t)
     strongest = float(irradiances.max(initial=0)) * medium.voxel_size**2 / lattice.shape[1]
     alone = len(directions) == 1
-    kinds = _TALLIES - 3 if alone else _TALLIES
-    tallies = np.zeros((kinds, *medium.shape), np.float32)
+    score = np.zeros(medium.shape, np.float32)
+    position = np.zeros((3, *box.shape), np.float32)
+    toward = directions[0] if alone else np.zeros((3, *medium.shape), np.float32)
     left, entered = np.zeros(_EMITTED + 1), 0.0
     for number, direction in enumerate(directions if strongest > 0 else ()):
-        beam = Beam(direction, medium.shape, (lattice + shift_of(number)) % 1)
-        share = irradiances[number] / irradiances.max() * beam.dw
-        scores, rays = _sweep(device, beam, depth).run(cancel)
+        beam = Beam(direction, medium.shape, (lattice + shift_of(number)) % 1, box)
+        share = np.float32(irradiances[number] / irradiances.max() * beam.dw)
+        found, places, rays = _sweep(device, beam, depth).run(cancel)
         through, count = beam.leaving(rays)
         left[:_STOPPED] += share * through
         entered += strongest * share * count
-        score, u, v, w = (beam.back(values) * np.float32(share) for values in scores)
-        tallies[_SCORE] += score
+        shone = beam.back(found) * share
+        score += shone
+        u, v, w = (beam.back(place) * share for place in places)
         for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
-            tallies[_POSITION][axis] += -place if backward else place
-        for part, component in zip(tallies[_DIRECTION], direction, strict=False):  # none alone
-            part += np.float32(component) * score
-    toward = directions[0] if alone else None
-    return _cast(medium, box, sigma_t, strongest, (tallies, None, left), toward, entered)
+            position[axis] += -place if backward else place
+        if not alone:
+            for part, component in zip(toward, direction, strict=True):
+                part += np.float32(component) * shone
+    return _cast(
+        medium, box, sigma_t, strongest, _Scores(score, position, toward, None, left), entered
+    )
 
 
 def _sweep(device, beam, depth):
@@ -251,25 +274,25 @@ def _toward(sun):
     return np.divide(sun.direction, np.linalg.norm(sun.direction))
 
 
-def _cast(medium, box, sigma_t, unit, scores, toward, entered):
-    """The `Cast` of what a march has read; `toward` where all its rays have that direction."""
-    tallies, reflected, sums = scores
-    h, depth = medium.voxel_size, medium.depth(sigma_t)
-    shining, colliding = unit / h**2 / np.maximum(1, depth), unit * np.minimum(1, box.of(depth))
-    score, inside = tallies[_SCORE], box.of(tallies)
-    if toward is None:
-        along = _product(colliding, inside[_DIRECTION])
-        flowing = _product(shining, tallies[_DIRECTION])
+def _cast(medium, box, sigma_t, unit, scores, entered):
+    """The `Cast` of `_Scores`."""
+    h, depth, score = medium.voxel_size, medium.depth(sigma_t, box), box.of(scores.score)
+    shining = np.full(medium.shape, unit / h**2)
+    box.of(shining)[...] /= np.maximum(1, depth)
+    direct, colliding = _product(shining, scores.score), unit * np.minimum(1, depth)
+    if scores.direction.ndim == 1:
+        toward = scores.direction.reshape(3, 1, 1, 1)
+        flowing, along = _product(toward, direct), _product(toward, colliding * score)
     else:
-        toward = np.reshape(toward, (3, 1, 1, 1))
-        along = _product(toward, colliding * inside[_SCORE])
-        flowing = _product(toward, shining * score)
-    place = _product(colliding * h, inside[_POSITION])
-    collided = Moments(_product(colliding, inside[_SCORE]), place, along)
+        flowing = _product(shining, scores.direction)
+        along = _product(colliding, box.of(scores.direction))
+    place = _product(colliding * h, scores.position)
+    collided = Moments(_product(colliding, score), place, along)
+    reflected, sums = scores.reflected, scores.sums
     if reflected is not None:
         reflected = (unit * box.of(reflected).astype(float)).astype(np.float32)
     left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
-    return Cast(_product(shining, score), flowing, collided, reflected, left, stopped, entered)
+    return Cast(direct, flowing, collided, reflected, left, stopped, entered)
 
 
 def _product(factor, values):

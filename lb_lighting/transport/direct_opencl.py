@@ -27,31 +27,65 @@ class OpenclSweep:
         )
 
     def run(self, cancel=None):
-        """(tallies (4, nw, nu, nv), rays), float32."""
+        """As the twin's, float32."""
         beam, flags = self.beam, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         rays = beam.rays().astype(np.float32)
-        tallies = np.empty((4, beam.nw, beam.nu, beam.nv), np.float32)
         rays_buffer = cl.Buffer(self.context, flags, hostbuf=rays)
-        tallies_buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, tallies.nbytes)
-        count, voxels = len(beam.points), beam.nu * beam.nv
-        sizes = [np.int32(n) for n in (beam.nu, beam.nv, beam.beside, count)]
-        step = [np.float32(part) for part in (beam.du, beam.dv, beam.dw)]
-        offsets = (voxels, 8 * count, voxels)
-        for layer in range(beam.nw):
+        score = np.empty((beam.nw, beam.nu, beam.nv), np.float32)
+        tallies = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, 4 * score.nbytes)
+        cl.enqueue_fill_buffer(self.queue, tallies, beam.unmet(), 0, score.nbytes)
+        (begin, end), *sides = beam.box
+        for layer in range(begin, int(beam.nw)):
             if cancel is not None and layer % 16 == 0 and cancel():
                 raise Cancelled("Cancelled; nothing was changed.")
-            first = [np.uint64(layer * offset) for offset in offsets]
-            arguments = (*sizes, *first, self.depth, self.ways, rays_buffer)
-            size = np.uint64(tallies[0].size)
-            self.tally(
-                *(self.queue, (int(beam.nv), int(beam.nu)), None, *arguments),
-                *(*step, tallies_buffer, size),
-            )
-            items = (int(beam.nv) + 1, int(beam.nu) + 1, count)
-            self.pass_on(self.queue, items, None, *arguments)
-        cl.enqueue_copy(self.queue, tallies, tallies_buffer)
+            self._tally(layer, rays_buffer, tallies, np.uint64(score.size))
+            if layer < end:
+                self._pass(layer, rays_buffer, sides)
+        cl.enqueue_copy(self.queue, score, tallies)
         cl.enqueue_copy(self.queue, rays, rays_buffer)
-        return tallies, rays
+        return score, self._places(tallies), rays
+
+    def _tally(self, layer, rays, tallies, size):
+        (u, u_end), (v, v_end) = self.beam.shaded(layer)
+        if u < u_end and v < v_end:
+            step = [np.float32(part) for part in (self.beam.du, self.beam.dv, self.beam.dw)]
+            self.tally(
+                *(self.queue, (v_end - v, u_end - u), None, *self._layer(layer), rays),
+                *(*step, tallies, size),
+                global_offset=(v, u),
+            )
+
+    def _pass(self, layer, rays, sides):
+        """Over the rays that start in the box's columns, or in the row before."""
+        (u, u_end), (v, v_end) = sides
+        items = (v_end - v + 1, u_end - u + 1, len(self.beam.points))
+        arguments = (*self._layer(layer), rays)
+        self.pass_on(self.queue, items, None, *arguments, global_offset=(v, u, 0))
+
+    def _layer(self, layer):
+        """What both kernels are told of a layer."""
+        beam = self.beam
+        count, voxels = len(beam.points), beam.nu * beam.nv
+        sizes = [np.int32(n) for n in (beam.nu, beam.nv, beam.beside, count)]
+        first = [np.uint64(layer * offset) for offset in (voxels, 8 * count, voxels)]
+        return (*sizes, *first, self.depth, self.ways)
+
+    def _places(self, tallies):
+        """(3, of the box) of the tallies: they lie behind the score."""
+        beam = self.beam
+        begins, ends = zip(*beam.box, strict=True)
+        places = np.empty((3, *np.subtract(ends, begins)), np.float32)
+        row, plane = 4 * int(beam.nv), 4 * int(beam.nv * beam.nu)
+        for number, place in enumerate(places, 1):
+            cl.enqueue_copy(
+                *(self.queue, place, tallies),
+                buffer_origin=(4 * begins[2], begins[1], number * int(beam.nw) + begins[0]),
+                host_origin=(0, 0, 0),
+                region=(place[0, 0].nbytes, *place.shape[1::-1]),
+                buffer_pitches=(row, plane),
+                host_pitches=(place[0, 0].nbytes, place[0].nbytes),
+            )
+        return places
 
 
 class OpenclMarch:

@@ -162,12 +162,13 @@ class Medium:
         changes = {name: repeated(getattr(self, name), pieces) for name in grids}
         return self.altered(voxel_size=self.voxel_size / pieces, **changes)
 
-    def depth(self, sigma):
+    def depth(self, sigma, box=None):
         """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m.
 
-        At most 1e30, which float32 can still reckon with.
+        At most 1e30, which float32 can still reckon with. With a `crop.Box` of its voxels.
         """
-        return np.minimum((sigma * self.voxel_size) * self.density.astype(float), DEEPEST)
+        density = self.density if box is None else box.of(self.density)
+        return np.minimum((sigma * self.voxel_size) * density.astype(float), DEEPEST)
 
     def alike(self, band, other):
         """Whether light of two bands meets the same, but for the medium's emission."""

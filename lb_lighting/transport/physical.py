@@ -231,7 +231,8 @@ class _Band:
     def dark(cls, shape, lights):
         energy = {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
         by_light = np.zeros((lights, *shape), np.float32)
-        return cls(*np.zeros((1, *shape)), *np.zeros((2, 3, *shape)), by_light, energy)
+        fluxes = np.zeros((2, 3, *shape), np.float32)
+        return cls(np.zeros(shape), *fluxes, by_light, energy)
 
     def add_unscattered(self, number, cast):
         self.by_light[number] += cast.direct
@@ -380,8 +381,9 @@ class _Work:
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
             handover.add_reflected(cast.reflected)
-        lit.fluence += cast.direct - unscattered.direct
-        lit.flux += cast.flux - unscattered.flux
+        if cast is not unscattered:  # the forward peak; in place, for these are large
+            lit.fluence += np.subtract(cast.direct, unscattered.direct, out=cast.direct)
+            lit.flux += np.subtract(cast.flux, unscattered.flux, out=cast.flux)
         collided = cast.collided.power.sum(dtype=float)
         lit.energy["entered"] += cast.entered
         lit.energy["absorbed"] += cast.stopped + (1 - share) * collided
@@ -434,7 +436,7 @@ class _Work:
             raise LightError("The light is too strong to reckon with; lower its strength.")
         if scale == 0:
             return
-        depth = box.of(medium.depth(medium.sigma_t[band]))
+        depth = medium.depth(medium.sigma_t[band], box)
         transport_depth = depth * (1 - medium.albedo[band] * medium.g[band])
         optics = (medium.albedo[band], medium.g[band])
         opaque = map(box.of, (medium.occlusion, medium.occlusion_albedo[band]))
@@ -455,7 +457,7 @@ class _Work:
             left = stream_on(lattice, box, scale, lit.fluence, lit.flux)
         watts = scale * medium.voxel_size**2
         lit.energy["left"] += watts * left
-        absorbed = np.sum(box.of(medium.depth(medium.sigma_a[band])) * fluence)
+        absorbed = np.sum(medium.depth(medium.sigma_a[band], box) * fluence)
         lit.energy["absorbed"] += watts * (absorbed + stopped)
 
     def _tell_error(self, error):

@@ -7,9 +7,12 @@ the rays that cross it, and nothing is added to it from elsewhere. What is talli
 `direct.NumpyMarch` tallies of a ray on its own, and `kernels/sweep.cl` does the same.
 """
 
+from math import ceil
+
 import numpy as np
 
 from ..errors import Cancelled
+from .crop import Box
 from .fade import fade
 
 NONE, U, V, U_THEN_V, V_THEN_U = range(5)
@@ -23,9 +26,10 @@ class Beam:
     direction  (3,) of any length
     shape      voxels (nx, ny, nz)
     within     (2, count), where rays are above each column of voxels, from 0 to 1
+    box        a `Box` that holds all matter; None for the whole domain
     """
 
-    def __init__(self, direction, shape, within):
+    def __init__(self, direction, shape, within, box=None):
         direction = np.divide(direction, np.linalg.norm(direction))
         self.along = int(np.argmax(np.abs(direction)))
         self.order = [self.along, *(axis for axis in range(3) if axis != self.along)]
@@ -34,6 +38,7 @@ class Beam:
         self.nw, self.nu, self.nv = np.array(shape)[self.order]
         self.slopes = np.array((self.du, self.dv)) / self.dw
         self.points = within.T
+        self.box = self._turned_box(box or Box.all(shape))
         self.beside = int(np.ceil(self.nw * self.slopes.max())) + 2
 
     def turned(self, grid):
@@ -43,6 +48,36 @@ class Beam:
     def back(self, grid):
         """The other way round."""
         return np.flip(grid, self._flipped()).transpose(np.argsort(self.order))
+
+    def _turned_box(self, box):
+        """[(first, end)] along w, u and v, as light comes to it."""
+        ends = zip(self.order, self.backward, strict=True)
+        return [
+            (box.whole[n] - box.upper[n], box.whole[n] - box.lower[n])
+            if backward
+            else (box.lower[n], box.upper[n])
+            for n, backward in ends
+        ]
+
+    def inside(self, grid):
+        """(..., of the box) of a grid (..., nw, nu, nv), a view."""
+        return grid[..., *(slice(*ends) for ends in self.box)]
+
+    def shaded(self, layer):
+        """[(first, end)] of columns along u and v where rays that have been in the box may be in
+        a layer; elsewhere nothing has met them."""
+        (begin, end), *sides = self.box
+        if layer < begin:
+            return [(0, 0)] * 2
+        within, behind = layer + 1 - begin, max(0, layer - end)
+        return [
+            (min(int(n), first + int(behind * slope)), min(int(n), last + ceil(within * slope)))
+            for (first, last), slope, n in zip(sides, self.slopes, (self.nu, self.nv), strict=True)
+        ]
+
+    def unmet(self):
+        """The score of a voxel that rays cross before anything has met them."""
+        return np.float32(len(self.points) / self.dw)
 
     def _flipped(self):
         return [n for n, backward in enumerate(self.backward) if backward]
@@ -100,7 +135,7 @@ class NumpySweep:
         self.beam, self.depth = beam, beam.turned(np.asarray(depth, float))
 
     def run(self, cancel=None):
-        """(tallies (4, nw, nu, nv), rays): score, its place along u, v and w, what is left."""
+        """(score (nw, nu, nv); its place along u, v and w, (3, of the box); what is left)."""
         beam, rays = self.beam, self.beam.rays()
         tallies = np.zeros((4, beam.nw, beam.nu + 2, beam.nv + 2))  # a border around each layer
         for layer, ways in enumerate(beam.ways()):
@@ -109,7 +144,8 @@ class NumpySweep:
             depth = np.pad(self.depth[layer], 1)
             for number, way in enumerate(ways):
                 self._cross(rays[number], way, depth, tallies[:, layer])
-        return tallies[:, :, 1:-1, 1:-1], rays
+        tallies = tallies[:, :, 1:-1, 1:-1]
+        return tallies[0], beam.inside(tallies[1:]), rays
 
     def _cross(self, rays, way, depth, tallies):
         """Take the rays of a number through a layer."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How fast the physical lattice steps and solves, in one run, on every runtime.
 
-    python -m tests.benchmarks.speed [steps corrections sweeps solves growth problems]
+    python -m tests.benchmarks.speed [steps corrections sweeps solves empty growth problems]
 
 steps   million voxels a second of the paper's kernels, of ours, of ours without its collision (the
         roof), and of a plain copy, GB/s
@@ -10,6 +10,8 @@ sweeps  seconds of a sun's sweep through a cloud, by itself and with what NumPy 
 corrections  what a correction by coarser lattices takes, a look at the light, and taking it back,
         in steps
 solves  seconds of whole solves of a cloud by stage, from 32 to 192 voxels along an edge
+empty   processor seconds of whole solves of a cloud that fills its domain, and of smaller ones with
+        empty space around them; the machine's other work does not count
 growth  the same of white cubes, 32 mean free paths deep, with coarser lattices and without
 problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, scaled from a few
 """
@@ -17,7 +19,7 @@ problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, sc
 import sys
 from math import prod
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 import pyopencl as cl
@@ -44,7 +46,10 @@ from tests.benchmarks.table import publish
 
 EDGES = (64, 128, 160)
 SOLVED = (32, 64, 96, 128, 192)
+# Voxels along the edge of a cloud, and empty ones around it: the third fills a tenth of its domain.
+EMPTY = ((128, 0), (60, 17), (60, 34), (96, 8), (96, 16))
 STEPS, RUNS = {"paper": 4, "ours": 20}, 4
+SOLVES = 2  # of which the cheaper counts
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
 
 
@@ -201,6 +206,45 @@ def solves():
         }
 
 
+def empty():
+    for found in device.devices():
+        if found.kind == "NumPy":
+            continue
+        full = before = None
+        for edge, margin in EMPTY:
+            medium = surrounded(of_depth(puffs(edge), 20, 0.99, 0.85), margin)
+            seconds, report = processor_seconds(medium, found)
+            full = full or seconds
+            doubled = before is not None and before[:2] == (edge, margin / 2)
+            yield {
+                "platform": found.platform.split(",")[0],
+                "cloud": edge,
+                "domain": edge + 2 * margin,
+                "filled": (edge / (edge + 2 * margin)) ** 3,
+                "steps": report.steps,
+                "corrections": report.corrections,
+                "processor s": seconds,
+                "to the full one": seconds / full,
+                "to half the margin": seconds / before[2] if doubled else "",
+            }
+            before = (edge, margin, seconds)
+
+
+def surrounded(medium, margin):
+    """The same medium with empty voxels around it."""
+    return medium.altered(density=np.pad(medium.density, margin))
+
+
+def processor_seconds(medium, found):
+    """Of all threads, and the report of a solve."""
+    taken = []
+    for _ in range(SOLVES):
+        start = process_time()
+        report = solve(medium, [SUN], Settings(), found).report
+        taken.append(process_time() - start)
+    return min(taken), report
+
+
 def growth():
     found = device.choose()
     for edge in SOLVED:
@@ -242,6 +286,7 @@ PARTS = {
     "corrections": corrections,
     "sweeps": sweeps,
     "solves": solves,
+    "empty": empty,
     "growth": growth,
     "problems": problems,
 }
