@@ -159,7 +159,7 @@ def plan(shape, occluded=True):
 def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
     """The `Cast` of a sun or a sky where nothing is opaque: of each of its suns, by layers."""
     directions, irradiances, of_each = light.suns(medium, band, per_edge)
-    lattice, depth = rank_1(of_each**2), medium.depth(sigma_t)
+    lattice, depth = rank_1(of_each**2), box.spread(medium.depth(sigma_t, box))
     strongest = float(irradiances.max(initial=0)) * medium.voxel_size**2 / lattice.shape[1]
     alone = len(directions) == 1
     score = np.zeros(medium.shape, np.float32)
@@ -173,14 +173,14 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
         through, count = beam.leaving(rays)
         left[:_STOPPED] += share * through
         entered += strongest * share * count
-        shone = beam.back(found) * share
-        score += shone
+        found *= share
+        score += beam.back(found)
         u, v, w = (beam.back(place) * share for place in places)
         for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
             position[axis] += -place if backward else place
         if not alone:
             for part, component in zip(toward, direction, strict=True):
-                part += np.float32(component) * shone
+                part += np.float32(component) * beam.back(found)
     return _cast(
         medium, box, sigma_t, strongest, _Scores(score, position, toward, None, left), entered
     )
@@ -277,14 +277,14 @@ def _toward(sun):
 def _cast(medium, box, sigma_t, unit, scores, entered):
     """The `Cast` of `_Scores`."""
     h, depth, score = medium.voxel_size, medium.depth(sigma_t, box), box.of(scores.score)
-    shining = np.full(medium.shape, unit / h**2)
-    box.of(shining)[...] /= np.maximum(1, depth)
-    direct, colliding = _product(shining, scores.score), unit * np.minimum(1, depth)
+    direct, colliding = _product(unit / h**2, scores.score), unit * np.minimum(1, depth)
+    box.of(direct)[...] /= np.maximum(1, depth)
     if scores.direction.ndim == 1:
         toward = scores.direction.reshape(3, 1, 1, 1)
         flowing, along = _product(toward, direct), _product(toward, colliding * score)
     else:
-        flowing = _product(shining, scores.direction)
+        flowing = _product(unit / h**2, scores.direction)
+        box.of(flowing)[...] /= np.maximum(1, depth)
         along = _product(colliding, box.of(scores.direction))
     place = _product(colliding * h, scores.position)
     collided = Moments(_product(colliding, score), place, along)
@@ -297,7 +297,7 @@ def _cast(medium, box, sigma_t, unit, scores, entered):
 
 def _product(factor, values):
     """float32, but in between float64: neither of the two need fit into the other."""
-    out = np.empty(np.broadcast_shapes(factor.shape, values.shape), np.float32)
+    out = np.empty(np.broadcast_shapes(np.shape(factor), values.shape), np.float32)
     return np.multiply(factor, values, out=out, dtype=float, casting="same_kind")
 
 

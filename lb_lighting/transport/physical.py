@@ -557,13 +557,17 @@ def _is_uniform(light, medium, band):
 def _take(field, lit, numbers, band, factor):
     """Add the light of a run, times a factor, to its band of the field; numbers are its lights'."""
     given = field.by_light.shape[0]  # behind them comes the medium's emission
+
+    def add(grid, values):
+        grid[band] += values if factor == 1 else factor * values
+
     for number, light in zip(numbers, lit.by_light, strict=True):
-        field.direct[band] += factor * light
+        add(field.direct, light)
         if number < given:
-            field.by_light[number, band] += factor * light
-    field.direct_flux[band] += factor * lit.direct_flux
-    field.fluence[band] += factor * lit.fluence
-    field.flux[band] += factor * lit.flux
+            add(field.by_light[number], light)
+    add(field.direct_flux, lit.direct_flux)
+    add(field.fluence, lit.fluence)
+    add(field.flux, lit.flux)
     report = field.report
     for where, power in lit.energy.items():
         report.energy[where][band] += factor * power
