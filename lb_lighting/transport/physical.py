@@ -6,22 +6,22 @@ handed to a lattice that carries scattered light alone. docs/physics.md derives 
 says what they neglect.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from math import ceil, inf, isinf, prod
+from math import inf, isinf, prod
 
 import numpy as np
 
-from ..errors import Cancelled, DeviceError, LightError, MediumError
+from ..errors import Cancelled, DeviceError, LightError
 from . import device as devices
 from . import direct, photons
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
 from .lights import FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
-from .medium import repeated
 from .physical_numpy import NumpyLattice, Source
 from .settle import settle
+from .thick import divided, merged, wished_pieces
 
 # Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
 # those of a sky, and of a medium that shines, go in many directions.
@@ -30,12 +30,7 @@ _PHOTONS_A_VOXEL = 64
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
 _MOST_SHIFTS = 64  # times that light is radiated again: each time it is less
 _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
-
-# Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
-# paths of scattering, and in diffusion lengths of absorption (docs/physics.md, "Thick voxels").
-_THICKEST, _DARKEST = 3.0, 0.9
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
-_MOST_PIECES = 4
 
 
 def solve(medium, lights, settings, device, clock, needed, progress, cancel):
@@ -45,7 +40,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
     pieces, needed = _pieces(medium, settings, device, len(lights), needed)
     if pieces > 1:
         medium = medium.divided(pieces)
-        lights = [_divided(light, pieces) for light in lights]
+        lights = [divided(light, pieces) for light in lights]
     work = _Work(settings, device, clock, progress, cancel)
     field = work.light(medium, lights)
     if medium.shift is not None:
@@ -57,7 +52,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
     # Not before: what is below zero in one voxel balances what is too much in others.
     np.maximum(field.fluence, 0, out=field.fluence)
     field.report.bytes, field.report.seconds = needed, clock.seconds
-    return field if pieces == 1 else _merged(field, pieces)
+    return field if pieces == 1 else merged(field, pieces)
 
 
 def plan(shape, settings, device, bands, occluded, lights=4):
@@ -110,7 +105,7 @@ def _pieces(medium, settings, device, lights, needed):
     MediumError where absorption is so strong that it would take too many, DeviceError where the
     pieces do not fit; those that only better the light are left out then.
     """
-    wished, must = (settings.divide,) * 2 if settings.divide else _wished_pieces(medium)
+    wished, must = (settings.divide,) * 2 if settings.divide else wished_pieces(medium)
 
     def bytes_of(pieces):
         if pieces == 1:
@@ -130,54 +125,6 @@ def _pieces(medium, settings, device, lights, needed):
                 f"and then there is too little memory. {error}"
             ) from error
         return must, bytes_of(must)
-
-
-def _wished_pieces(medium):
-    """(pieces that better the light, pieces without which it would be wrong), along each edge.
-
-    Depths count by the albedo, the share of light that the lattice carries.
-    """
-    density = medium.density.astype(float)
-    mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
-    depth = medium.sigma_s * medium.voxel_size * mean
-    transport = 1 - medium.albedo * medium.g
-    lengths = depth * np.sqrt(3 * (1 - medium.albedo) * transport)
-    thick = min(2, ceil(float((depth * transport).max()) / _THICKEST))
-    dark = max(1, ceil(float(lengths.max()) / _DARKEST))
-    if dark > _MOST_PIECES:
-        raise MediumError(
-            f"The medium absorbs so strongly that light fades {lengths.max():.1f} times by a "
-            f"factor of e within a voxel; raise the resolution {ceil(dark / _MOST_PIECES)} times, "
-            "or lower the density."
-        )
-    return max(thick, dark), dark
-
-
-def _divided(light, pieces):
-    shadow = getattr(light, "shadow_density", None)
-    return light if shadow is None else replace(light, shadow_density=repeated(shadow, pieces))
-
-
-def _merged(field, pieces):
-    """The field of a divided medium, in the voxels that it had before."""
-
-    def mean(values):
-        if values is None:
-            return None
-        *outer, nx, ny, nz = values.shape
-        split = (nx // pieces, pieces, ny // pieces, pieces, nz // pieces, pieces)
-        return values.reshape(*outer, *split).mean(axis=(-5, -3, -1))
-
-    domain = field.domain
-    coarse = replace(
-        domain,
-        voxel_size=domain.voxel_size * pieces,
-        shape=tuple(n // pieces for n in domain.shape),
-    )
-    variance = None if field.variance is None else mean(field.variance) / pieces**3
-    names = ("fluence", "direct", "flux", "direct_flux", "by_light")
-    grids = {name: mean(getattr(field, name)) for name in names}
-    return replace(field, domain=coarse, variance=variance, handed=None, **grids)
 
 
 def _shift(field, medium, work):
