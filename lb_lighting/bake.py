@@ -18,15 +18,16 @@ from . import exchange
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
-from .output import attribute, shading, volume
+from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights, unread_lamps
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks import FIELD, Estimate, Light, Lit
+from .transport.medium import Optics
 
 __all__ = [
     "Baking", "Estimating", "Options", "Outcome", "apply", "bake", "clear", "folder_of", "gather",
-    "run", "sources_of",
+    "is_lit", "run", "sources_of",
 ]  # fmt: skip
 
 
@@ -121,8 +122,9 @@ class Baking(Job):
             lit = self.result()
             with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
                 ob = apply(context, objects, self.task, lit, self.frames)
-                if len(objects) == 1 and self.frames is None:
-                    volume.follow(ob, objects[0], self.task.sources[0].place)
+                source = self.task.sources[0]
+                if source.is_volume and len(objects) == 1 and self.frames is None:
+                    volume.follow(ob, objects[0], source.place)
         except BaseException:
             self.cancel()
             raise
@@ -164,13 +166,20 @@ def gather(context, objects, options, path=None):
     """
     with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
-        reader = Reader(depsgraph, options.medium, options.optical_depth, options.grid)
+        reader = Reader(
+            depsgraph,
+            options.medium,
+            options.optical_depth,
+            options.grid,
+            custom=Optics(options.sigma_s, options.sigma_a, options.g),
+            instances_lit=options.foliage == "MODIFIER",
+        )
         sources = open_sources(objects, reader)
         box = _box(context, options.domain) if options.domain else None
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if source.shows_light and ob.type == "MESH"
+            if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
         }
         reader.notes.extend(unread_lamps(depsgraph))
         lights = scene_lights(context.scene, depsgraph)
@@ -187,6 +196,11 @@ def gather(context, objects, options, path=None):
         lights=lights,
         box=box,
         surfaces=surfaces,
+        readers=[
+            number
+            for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
+            if ob.type == "MESH" and _is_read(source, options)
+        ],
         path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
@@ -202,12 +216,26 @@ def apply(context, objects, task, lit, frames=None):
     Returns the Volume object that shows it. Raises OutputError for what cannot take it; then the
     scene is as it was.
     """
+    strength = task.options.strength
     surfaces = [objects[number] for number in lit.ambient]
     attribute.write_ambient(surfaces, list(lit.ambient.values()))
     shown = _show_volume(context, objects, task, lit, frames)
     for ob in surfaces:
-        shading.light_surface(ob, task.options.strength)
+        modifier.remove_modifier(ob)
+        shading.light_surface(ob, strength)
+    for number in task.readers:
+        ob, source = objects[number], task.sources[number]
+        attribute.remove_ambient(ob)
+        modifier.light_foliage(ob, shown)
+        shading.light_surface(ob, strength)
+        materials = [name and bpy.data.materials.get(name) for name in source.instanced]
+        lit.notes.extend(shading.light_instances(ob, materials, strength))
     return shown
+
+
+def _is_read(source, options):
+    """Whether a modifier is to read the light of a source."""
+    return source.is_foliage and options.foliage == "MODIFIER"
 
 
 def clear(context, delete_files=False):
@@ -222,11 +250,12 @@ def clear(context, delete_files=False):
     paths = [volume.baked_path(ob) for ob in baked]
     sources = [s for ob in baked for s in volume.sources_of(scene, ob)]
     sources += volume.lost_sources(scene)
-    surfaces = [ob for ob in scene.objects if attribute.has_ambient(ob)]
+    surfaces = [ob for ob in scene.objects if shading.is_lit(ob)]
     count = len({*sources, *surfaces} or baked)
     _release(context, sources, baked)
     for ob in surfaces:
         attribute.remove_ambient(ob)
+        modifier.remove_modifier(ob)
     shading.unwire_unused()
     for ob in baked:
         volume.remove_baked(ob)
@@ -236,6 +265,11 @@ def clear(context, delete_files=False):
         for path in paths:
             volume.delete_baked_file(path)
     return count
+
+
+def is_lit(scene):
+    """True where something in the scene shows light of a bake."""
+    return bool(volume.baked_volumes(scene)) or any(map(shading.is_lit, scene.objects))
 
 
 def _release(context, sources, baked):

@@ -24,12 +24,16 @@ _HELP = {
     "resolution": "voxels along the longest edge",
     "padding": "empty voxels around what is lit",
     "domain": "object whose bounds are lit",
-    "medium": "MATERIAL, cloud, plant or pmma",
-    "optical_depth": "of the longest edge at density 1, for presets",
+    "medium": "MATERIAL, CUSTOM, cloud, plant or pmma",
+    "sigma_s": "scattering at density 1 by band in 1/m, for CUSTOM",
+    "sigma_a": "absorption at density 1 by band in 1/m, for CUSTOM",
+    "g": "mean cosine of the scattering angle by band, for CUSTOM",
+    "optical_depth": "of the longest edge at density 1, for presets; 0: CUSTOM as it is",
     "grid": "grid to read from volumes and smoke",
     "model": "physical or paper",
     "handover": "transport optical depths that photons are traced for before the lattice",
     "mode": "REPLACE or ADD",
+    "foliage": "ATTRIBUTE, written on the mesh, or MODIFIER, which reads the baked volume",
     "strength": "factor on the light in the render",
     "keep_absorbed": "emit absorbed light again, in the paper's model",
     "device": "part of a device's name",
@@ -73,8 +77,12 @@ def _parser(opens_file):
     baking.add_argument("--overwrite", action="store_true", help="bake frames that are there, too")
     for option in fields(bake.Options):
         # Left out, an option is what the .blend says.
-        is_flag = option.type is bool
-        how = {"action": argparse.BooleanOptionalAction} if is_flag else {"type": option.type}
+        if option.type is tuple:
+            how = {"type": float, "nargs": 3, "metavar": ("R", "G", "B")}
+        elif option.type is bool:
+            how = {"action": argparse.BooleanOptionalAction}
+        else:
+            how = {"type": option.type}
         name = f"--{option.name.replace('_', '-')}"
         baking.add_argument(name, default=None, help=_HELP[option.name], **how)
     clearing = commands.add_parser("clear", help="take the light out and save the scene")

@@ -6,11 +6,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from .errors import SettingsError, require_known
-from .scene.sources import FROM_MATERIAL
-from .transport.medium import PRESETS
+from .scene.sources import CUSTOM, FROM_MATERIAL
+from .transport.medium import PRESETS, optics_by_band
 from .transport.solver import MODELS, Settings
 
 MODES = ("REPLACE", "ADD")
+FOLIAGE = ("ATTRIBUTE", "MODIFIER")  # how it gets its light
 
 
 @dataclass(frozen=True)
@@ -20,12 +21,16 @@ class Options:
     resolution: int = 64  # voxels along the longest edge, padding included
     padding: int = 2  # empty voxels around the selection
     domain: str = ""  # name of an object whose bounds to light, or "" for the selection's
-    medium: str = FROM_MATERIAL  # or the name of a preset
+    medium: str = FROM_MATERIAL  # or the name of a preset, or "CUSTOM": the next three
+    sigma_s: tuple = (1.0, 1.0, 1.0)  # 1/m at density 1, by band
+    sigma_a: tuple = (0.0, 0.0, 0.0)  # 1/m at density 1, by band
+    g: tuple = (0.0, 0.0, 0.0)  # mean cosine of the scattering angle, by band
     optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
     grid: str = ""  # grid to read from volumes, or "" for the material's
     model: str = "physical"  # or "paper"
     handover: float = 0.0  # transport optical depths that photons are traced for, by "physical"
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
+    foliage: str = "ATTRIBUTE"  # how it gets its light: "ATTRIBUTE", or "MODIFIER" that reads it
     strength: float = 1.0  # factor on the light in the render
     keep_absorbed: bool = False  # emit absorbed light again, by "paper"
     device: str = ""  # part of a device's label, or "" for the best
@@ -33,18 +38,27 @@ class Options:
 
     def __post_init__(self):
         for value, known, what in (
-            (self.medium, (FROM_MATERIAL, *PRESETS), "medium"),
+            (self.medium, (FROM_MATERIAL, CUSTOM, *PRESETS), "medium"),
             (self.model, tuple(MODELS), "model"),
             (self.mode, MODES, "mode"),
+            (self.foliage, FOLIAGE, "light of foliage"),
         ):
             require_known(value, known, what)
         if self.padding < 1:
             raise SettingsError(f"The padding must be 1 voxel or more; it is {self.padding}.")
-        if not (self.optical_depth > 0 and np.isfinite(self.optical_depth)):
-            raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
+        self._refuse_bad_medium()
         if not (self.strength >= 0 and np.isfinite(self.strength)):
             raise SettingsError(f"The strength must not be negative; it is {self.strength}.")
         self.settings()  # refuses the others
+
+    def _refuse_bad_medium(self):
+        optics_by_band(self.sigma_s, self.sigma_a, self.g)  # refuses what is not physical
+        if self.medium == CUSTOM and not (any(self.sigma_s) or any(self.sigma_a)):
+            raise SettingsError("The custom medium is void; give it scattering or absorption.")
+        # As they are, without a scale, only the coefficients of a custom medium are meant.
+        enough = self.optical_depth > 0 or (self.optical_depth == 0 and self.medium == CUSTOM)
+        if not (enough and np.isfinite(self.optical_depth)):
+            raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
 
     def settings(self):
         """The solver's `Settings`."""
@@ -54,5 +68,6 @@ class Options:
     def of(cls, scene, **changes):
         """The scene's own, with `changes` where they are not None."""
         values = {f.name: getattr(scene.lb_lighting, f.name) for f in fields(cls)}
+        values |= {f.name: tuple(values[f.name]) for f in fields(cls) if f.type is tuple}
         values["domain"] = values["domain"].name if values["domain"] else ""
         return cls(**values | {name: v for name, v in changes.items() if v is not None})

@@ -11,6 +11,7 @@ import numpy as np
 from . import exchange
 from .errors import SceneError
 from .options import Options
+from .output.ambient import ambient_grids
 from .output.vdb import unfinished, volume_light, write_vdb
 from .scene.sources import mixture, occluders, with_shadows
 from .transport import device
@@ -80,6 +81,7 @@ class Light:
     lights    [light], see transport/lights.py
     box       (lower, upper), each (3,) m, to light, or None for the bounds of the sources
     surfaces  {number of the source: `Vertices`} that are to show their light
+    readers   [number of the source] of those whose light a modifier reads from the file
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     """
@@ -90,6 +92,7 @@ class Light:
     lights: list
     box: tuple | None
     surfaces: dict
+    readers: list
     path: str
     facts: dict
 
@@ -109,9 +112,9 @@ class Light:
 
     def keep(self, problem, field):
         """Write the file of the `Field` that a `Problem` has: a `Lit`."""
-        beams = self._write(problem, field)
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
+        beams = self._write(problem, field, occlusion)
         ambient = {
             number: vertices.light(field, occlusion)
             for number, vertices in self.surfaces.items()
@@ -173,11 +176,12 @@ class Light:
             )
         return field
 
-    def _write(self, problem, field):
+    def _write(self, problem, field, occlusion):
         """Write the .vdb; the beams that it has grids of."""
         light, others, beams = volume_light(field, problem.lights, self.options.mode)
         stamp = self._stamp(problem.medium, field.report)
-        write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others)
+        read = ambient_grids(field, occlusion) if self.readers else None
+        write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
         return beams
 
     def _stamp(self, medium, report):

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scattered light that falls on vertices. Needs no Blender."""
+"""The scattered light that falls on vertices, or wherever a modifier asks. Needs no Blender."""
 
 import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
+from .vdb import AXES
+
+AMBIENT_ATTRIBUTE = "lb_ambient"
+BACK_ATTRIBUTE = "lb_ambient_back"
+OPEN_GRID = "lb_open"
 STAND_OFF = 0.75  # voxels in front of a wall: where its light is taken, not from its other side
 LEAST_OPEN = 1e-3  # share of the voxels around a point, below which it is dark
 
@@ -88,3 +93,25 @@ def sample(domain, values, points):
         x, y, z = np.minimum(low + corner, last).T
         result += weight[:, None] * values[:, x, y, z].T
     return result
+
+
+def ambient_axis(axis):
+    """The name of the attribute of instances, and of the grid, for the axis "X", "Y" or "Z"."""
+    return f"{AMBIENT_ATTRIBUTE}_{axis.lower()}"
+
+
+def ambient_grids(field, occlusion=None):
+    """{name: (bands, nx, ny, nz)}: what the modifier reads, of the scattered light in a `Field`.
+
+    occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
+
+    With fluence phi and flux J, in W/m^2: lb_ambient is phi / (4 pi), lb_ambient_x ... are the
+    components of J / (2 pi), by band; a side of normal n then has lb_ambient - lb_ambient_xyz . n,
+    which is `irradiance` over pi. lb_open, (nx, ny, nz), is the share of a voxel that
+    holds light.
+    """
+    grids = {AMBIENT_ATTRIBUTE: field.fluence / (4 * np.pi)}
+    for number, axis in enumerate(AXES):
+        grids[ambient_axis(axis)] = field.flux[:, number] / (2 * np.pi)
+    grids[OPEN_GRID] = np.ones(field.domain.shape) if occlusion is None else 1 - occlusion
+    return grids

@@ -5,10 +5,7 @@ import numpy as np
 
 from ..errors import OutputError
 from ..scene.meshes import vertices
-from .ambient import Vertices
-
-AMBIENT_ATTRIBUTE = "lb_ambient"
-BACK_ATTRIBUTE = "lb_ambient_back"
+from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, Vertices
 
 
 def read_vertices(ob, depsgraph, is_body=False, is_wall=False):

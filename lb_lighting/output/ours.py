@@ -24,6 +24,11 @@ def override(block, path, value):
     _set(block, path, value)
 
 
+def is_overridden(block, path):
+    """True while `override` holds the property at the RNA `path` of `block`."""
+    return KEPT in block and path in block[KEPT]
+
+
 def give_back(block):
     """Set every property that `override` changed back to the user's value, once."""
     if KEPT not in block:

@@ -27,8 +27,10 @@ from .groups import (
     beam_group,
     volume_group,
 )
-from .ours import TAG, find_ours, give_back, is_ours, override
+from .modifier import has_modifier
+from .ours import TAG, find_ours, give_back, is_ours, is_overridden, override
 from .vdb import AXES, direct_grid
+from .volume import baked_volumes
 
 # Nodes that hand on the closures of others.
 PASSING_NODES = {"MIX_SHADER", "ADD_SHADER", "REROUTE"}
@@ -43,6 +45,9 @@ AMBIENT_INPUTS = {
     "GROUP": {},
 }
 
+VOLUME_BOUNCES = "cycles.volume_bounces"
+CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION"}
+
 SLOT = "lb_lighting_slot"  # on a user's mesh: its material slot is from us
 
 
@@ -53,8 +58,36 @@ def prepare_scene(scene):
 
 
 def restore_scene(scene):
-    """Give back what `prepare_scene` changed."""
+    """Give back what `prepare_scene` and `use_light` changed."""
     give_back(scene)
+
+
+def use_light(scene):
+    """Set what a render with the light of the lattice wants, for which it stands.
+
+    Volumes are marched through, and scatter once (in "ADD"; in "REPLACE" not at all). Where
+    surfaces show ambient light, diffuse bounces are in it, and so are those through translucent
+    ones; what is seen through glass needs its bounces, so they stay where a material is clear.
+    """
+    prepare_scene(scene)
+    override(scene, VOLUME_BOUNCES, 0)
+    lit = [ob for ob in scene.objects if is_lit(ob)]
+    if lit:
+        override(scene, "cycles.diffuse_bounces", 0)
+    if lit and not any(map(_is_clear, bpy.data.materials)):
+        override(scene, "cycles.transmission_bounces", 0)
+
+
+def uses_light(scene):
+    """True after `use_light`, until the scene was given back."""
+    return is_overridden(scene, VOLUME_BOUNCES)
+
+
+def leave_light(scene):
+    """Give back what `use_light` changed; what the bake needs stays."""
+    restore_scene(scene)
+    if any(not ob.hide_render for ob in baked_volumes(scene)):
+        prepare_scene(scene)
 
 
 def hide_source(ob):
@@ -141,6 +174,23 @@ def light_surface(ob, strength=1.0):
         wire_ambient(slot.material, strength)
 
 
+def light_instances(ob, materials, strength=1.0):
+    """Wire the `materials` of what the modifiers of `ob` instance; notes on what cannot be."""
+    editable = {m for m in materials if m is not None and m.is_editable}
+    for material in editable:
+        wire_ambient(material, strength)
+    if editable.issuperset(materials):
+        return []
+    return [
+        f"Some instances of '{ob.name}' show no light; give them materials that are not linked."
+    ]
+
+
+def is_lit(ob):
+    """True for an object that shows light of ours on its surface."""
+    return has_ambient(ob) or has_modifier(ob)
+
+
 def unlight_surface(ob):
     """Take away the material of ours, and the slot for it, that `light_surface` gave `ob`.
 
@@ -161,16 +211,18 @@ def unlight_surface(ob):
 def unwire_unused():
     """Undo `light_surface` for all meshes and materials of the file that show no light.
 
-    The light of a mesh is its attribute; one that is in no scene any more shows nothing.
+    What is in no scene any more shows nothing.
     """
-    lit = {ob for scene in bpy.data.scenes for ob in scene.objects if has_ambient(ob)}
+    lit = {ob for scene in bpy.data.scenes for ob in scene.objects if is_lit(ob)}
     meshes = {ob.data for ob in lit}
     for ob in bpy.data.objects:
         editable = ob.type == "MESH" and ob.is_editable and ob.data.is_editable
         if editable and ob.data not in meshes:
             unlight_surface(ob)
     needed = {slot.material for ob in lit for slot in ob.material_slots}
-    for material in bpy.data.materials:
+    # Those of instances may be anyone's; they wait until no plant is left that has some.
+    shared = any(has_modifier(ob) for ob in lit)
+    for material in () if shared else bpy.data.materials:
         if material not in needed and material.is_editable:
             unwire_ambient(material)
 
@@ -180,6 +232,15 @@ def remove_unused():
     groups = bpy.data.node_groups
     for blocks in (bpy.data.materials, groups, groups):  # twice, for one group holds another
         bpy.data.batch_remove([block for block in blocks if is_ours(block) and not block.users])
+
+
+def _is_clear(material):
+    """Whether one sees through the material, but for holes."""
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    weights = [n.inputs["Transmission Weight"] for n in nodes if n.type == "BSDF_PRINCIPLED"]
+    return any(n.type in CLEAR for n in nodes) or any(
+        weight.is_linked or weight.default_value > 0 for weight in weights
+    )
 
 
 def _refuse_linked(material):

@@ -83,7 +83,7 @@ def direct_grid(number):
     return f"lb_direct_{number}"
 
 
-def write_vdb(path, domain, density, light, metadata, others=None):
+def write_vdb(path, domain, density, light, metadata, others=None, everywhere=None):
     """Write the grids `density`, `lb_light` and others to `path`, whole or not at all.
 
     domain    the `Domain` of all
@@ -91,8 +91,9 @@ def write_vdb(path, domain, density, light, metadata, others=None):
     light     (1 or 3, nx, ny, nz) mean radiance, W/(m^2 sr)
     metadata  {name: str, int or float}, the settings that made it, stamped on file and grids
     others    {name: (1 or 3, nx, ny, nz)}, see `volume_light`
+    everywhere  {name: the same, or (nx, ny, nz)}, see `ambient_grids`: kept in all voxels
 
-    Light is kept within two voxels of any density, continued outwards at the domain's
+    Other light is kept within two voxels of any density, continued outwards at the domain's
     faces, so that interpolation does not darken the border of a cloud.
     Raises OutputError for a folder or disk that cannot take the file, and for a file
     already there that is not ours.
@@ -103,6 +104,7 @@ def write_vdb(path, domain, density, light, metadata, others=None):
     temporary = unfinished(path)
     try:
         grids = _grids(domain, density, {LIGHT_GRID: light} | (others or {}))
+        grids += [_full_grid(name, domain, v) for name, v in (everywhere or {}).items()]
         _write_checked(temporary, grids, metadata)
         os.replace(temporary, path)
     except OSError as error:
@@ -146,6 +148,13 @@ def _grids(domain, density, colors):
         values *= near
         grids.append(_grid(name, domain, values, MARGIN))
     return grids
+
+
+def _full_grid(name, domain, values):
+    """An OpenVDB grid of all `values`, (nx, ny, nz) or, of colours, (1 or 3, nx, ny, nz)."""
+    if values.ndim == 4:
+        values = np.moveaxis(np.broadcast_to(values, (3, *domain.shape)), 0, -1)
+    return _grid(name, domain, values, margin=0)
 
 
 def _grid(name, domain, values, margin):

@@ -28,6 +28,7 @@ from .materials import (
 from .meshes import world_parts
 
 FROM_MATERIAL = "MATERIAL"
+CUSTOM = "CUSTOM"
 COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
@@ -55,16 +56,21 @@ class Share:
 class Reader:
     """How sources are read: the choices of the user, and what to tell about them.
 
-    medium         FROM_MATERIAL, or the name of one of PRESETS for everything
+    medium         FROM_MATERIAL, CUSTOM, or the name of one of PRESETS for everything
     optical_depth  of a straight line as long as the domain through density 1, for presets in
-                   volumes and solids; foliage has its own, from its leaves
+                   volumes and solids; foliage has its own, from its leaves; 0 for the
+                   coefficients of CUSTOM as they are
     grid           name of the grid to read, or "" for the one that the material names
+    custom         the `Optics` of CUSTOM, 1/m
+    instances_lit  those that geometry nodes make of foliage show light
     """
 
     depsgraph: object
     medium: str
     optical_depth: float
     grid: str
+    custom: Optics | None = None
+    instances_lit: bool = False
     notes: list = field(default_factory=list)
 
     def __getstate__(self):
@@ -115,10 +121,17 @@ class Reader:
             self.notes.append(f"'{ob.name}' throws no light back. {error}")
             return [np.zeros(3)] * len(parts)
 
+    def chosen(self, fallback=None):
+        """The `Optics` of the chosen preset, or of the one called `fallback`."""
+        if self.medium == CUSTOM:
+            return self.custom
+        return PRESETS[fallback if self.medium == FROM_MATERIAL else self.medium]
+
     def preset(self, fallback, length):
         """The chosen preset (or `fallback`), scaled to `optical_depth` over `length` metres."""
-        preset = PRESETS[fallback if self.medium == FROM_MATERIAL else self.medium]
-        return _scaled(preset, self.optical_depth / length)
+        if self.optical_depth == 0:
+            return self.chosen(fallback)
+        return _scaled(self.chosen(fallback), self.optical_depth / length)
 
 
 def open_sources(objects, reader):
@@ -168,12 +181,14 @@ class _Source:
     place        (4, 4), the object's space to world space
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
+    is_foliage   whether it is surfaces that light passes between
     is_body      whether that light is what comes out of it, not what falls on it
     is_wall      whether it stops all light
     """
 
     is_volume = False
     shows_light = False
+    is_foliage = False
     is_body = False
     is_wall = False
 
@@ -258,7 +273,11 @@ class _SurfaceSource(_Source):
     def __init__(self, ob, parts, reader):
         super().__init__(ob, reader)
         self.faces = [part.faces for part in parts]
-        if self.shows_light and ob.type == "MESH" and any(part.instanced for part in parts):
+        # A modifier of the object sees the instances that modifiers make, and no others.
+        duplicates = ob.instance_type != "NONE" or len(ob.particle_systems)
+        lit = self.is_foliage and reader.instances_lit and not duplicates
+        instanced = any(part.instanced for part in parts)
+        if self.shows_light and ob.type == "MESH" and instanced and not lit:
             reader.notes.append(
                 f"The instances of '{ob.name}' shade and colour the light, but show none of it "
                 "themselves; make them real to light them."
@@ -275,18 +294,23 @@ class _SurfaceSource(_Source):
 
 
 class FoliageSource(_SurfaceSource):
-    """Leaves, or any surface that lets light through between its pieces."""
+    """Leaves, or any surface that lets light through between its pieces.
+
+    instanced  names of the materials of what it instances, None where that has none
+    """
 
     shows_light = True
+    is_foliage = True
 
     def __init__(self, ob, parts, reader):
         super().__init__(ob, parts, reader)
         self.leaves = [self._leaf(part.material) for part in parts]
+        self.instanced = [part.material and part.material.name for part in parts if part.instanced]
 
     def _leaf(self, material):
         """(share of the faces that is not a hole, Optics at 1/m of extinction)."""
         if self.reader.medium != FROM_MATERIAL:
-            return 1.0, _scaled(PRESETS[self.reader.medium], 1.0)
+            return 1.0, _scaled(self.reader.chosen(), 1.0)
         leaf = leaf_optics(material)
         return leaf.coverage, leaf.optics
 

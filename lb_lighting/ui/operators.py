@@ -6,6 +6,7 @@ from bpy.props import BoolProperty
 
 from .. import bake
 from ..errors import LightingError
+from ..output import shading
 from ..sequence import Sequence
 from . import running
 
@@ -190,7 +191,41 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
         return {"FINISHED"}
 
 
-_CLASSES = (LB_OT_bake, LB_OT_bake_animation, LB_OT_estimate, LB_OT_cancel, LB_OT_clear)
+class LB_OT_use(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Set the bounces of Cycles for LB light, which stands for them; again to give them back"""
+
+    bl_idname = "lb_lighting.use"
+    bl_label = "Use LB Light"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not hasattr(context.scene, "cycles"):
+            cls.poll_message_set("Enable the add-on Cycles")
+            return False
+        if not (shading.uses_light(context.scene) or bake.is_lit(context.scene)):
+            cls.poll_message_set("Bake LB light first")
+            return False
+        return True
+
+    def execute(self, context):
+        if shading.uses_light(context.scene):
+            shading.leave_light(context.scene)
+            self.report({"INFO"}, "Render settings are as they were")
+        else:
+            shading.use_light(context.scene)
+            self.report({"INFO"}, "Render settings are those for LB light")
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    LB_OT_bake,
+    LB_OT_bake_animation,
+    LB_OT_estimate,
+    LB_OT_cancel,
+    LB_OT_clear,
+    LB_OT_use,
+)
 
 
 def register():

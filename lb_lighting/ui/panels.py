@@ -5,9 +5,18 @@ import textwrap
 
 import bpy
 
-from ..scene.sources import FROM_MATERIAL, SURFACE_TYPES
+from ..output.shading import uses_light
+from ..scene.sources import CUSTOM, FROM_MATERIAL, SURFACE_TYPES
 from . import running
-from .operators import LB_OT_bake, LB_OT_bake_animation, LB_OT_cancel, LB_OT_clear, LB_OT_estimate
+from .operators import (
+    LB_OT_bake,
+    LB_OT_bake_animation,
+    LB_OT_cancel,
+    LB_OT_clear,
+    LB_OT_estimate,
+    LB_OT_use,
+)
+from .presets import LB_PT_presets
 
 WIDTH = 44  # characters of a line of text
 
@@ -16,6 +25,9 @@ class _Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "LB"
+
+    def draw_header_preset(self, _context):
+        LB_PT_presets.draw_panel_header(self.layout)
 
     def draw(self, context):
         self.layout.use_property_split = True
@@ -32,7 +44,7 @@ class SubPanel(_Panel):
 class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "LB Lighting"
 
-    def draw(self, _context):
+    def draw(self, context):
         """The buttons, or how far the bake is; and how the last one ended."""
         layout = self.layout
         if running.baking is None:
@@ -41,7 +53,11 @@ class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convent
             row.operator(LB_OT_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
             row.operator(LB_OT_bake_animation.bl_idname, text="Animation", icon="RENDER_ANIMATION")
             row.operator(LB_OT_clear.bl_idname, text="Clear", icon="TRASH")
-            layout.operator(LB_OT_estimate.bl_idname, text="Estimate", icon="TIME")
+            row = layout.row(align=True)
+            row.operator(LB_OT_estimate.bl_idname, text="Estimate", icon="TIME")
+            used = uses_light(context.scene)
+            icon = "CHECKBOX_HLT" if used else "CHECKBOX_DEHLT"
+            row.operator(LB_OT_use.bl_idname, icon=icon, depress=used)
         else:
             layout.progress(factor=running.told[1], text=running.line())
             layout.operator(LB_OT_cancel.bl_idname, text="Cancel", icon="CANCEL")
@@ -64,8 +80,15 @@ class LB_PT_domain(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
 class LB_PT_medium(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Medium"
 
+    def draw_header_preset(self, _context):
+        LB_PT_presets.draw_panel_header(self.layout)
+
     def draw_settings(self, context, column, settings):
         column.prop(settings, "medium")
+        if settings.medium == CUSTOM:
+            column.prop(settings, "sigma_s")
+            column.prop(settings, "sigma_a")
+            column.prop(settings, "g")
         depth = column.row()
         depth.active = settings.medium != FROM_MATERIAL
         depth.prop(settings, "optical_depth")
@@ -96,6 +119,7 @@ class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
 
     def draw_settings(self, _context, column, settings):
         column.prop(settings, "mode")
+        column.prop(settings, "foliage")
         column.prop(settings, "strength")
         column.prop(settings, "folder", placeholder="The .blend's")
 

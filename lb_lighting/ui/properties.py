@@ -8,6 +8,7 @@ from bpy.props import (
     BoolProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -18,6 +19,7 @@ from ..errors import LightingError
 
 MEDIA = [
     ("MATERIAL", "From Material", "Read scattering, absorption and g from each object's material"),
+    ("CUSTOM", "Custom", "The coefficients below, which the presets of the panel's header fill in"),
     ("cloud", "Cloud", "Water droplets: hardly any absorption, scattering strongly forward"),
     ("plant", "Plant", "Leaves: green light passes and is scattered, red and blue are absorbed"),
     ("pmma", "PMMA", "Translucent acrylic plastic"),
@@ -46,6 +48,15 @@ MODES = [
         "Add",
         "The source stays and Cycles scatters light in it once; the light of many scatterings "
         "is laid over it, for the camera alone",
+    ),
+]
+FOLIAGE = [
+    ("ATTRIBUTE", "Attribute", "Light is written on the vertices of the mesh: works everywhere"),
+    (
+        "MODIFIER",
+        "Modifier",
+        "A geometry nodes modifier reads the baked volume: meshes stay as they are, and plants "
+        "that move or are instanced are lit where they are",
     ),
 ]
 ROLES = [
@@ -90,12 +101,35 @@ class SceneProperties(bpy.types.PropertyGroup):
         type=bpy.types.Object,
     )
     medium: EnumProperty(name="Medium", description="What the light scatters in", items=MEDIA)
+    sigma_s: FloatVectorProperty(
+        name="Scattering",
+        description="How much red, green and blue light is scattered at density 1, in 1/m",
+        default=(1, 1, 1),
+        min=0,
+        precision=3,
+    )
+    sigma_a: FloatVectorProperty(
+        name="Absorption",
+        description="How much red, green and blue light is absorbed at density 1, in 1/m",
+        default=(0, 0, 0),
+        min=0,
+        precision=3,
+    )
+    g: FloatVectorProperty(
+        name="Anisotropy",
+        description="Mean cosine of the angle that red, green and blue light is scattered by: "
+        "forward above 0, back below",
+        default=(0, 0, 0),
+        min=-0.99,
+        max=0.99,
+    )
     optical_depth: FloatProperty(
         name="Optical Depth",
         description="How dense a preset is: the mean number of collisions on a straight line as "
-        "long as the domain, through density 1. Foliage takes its own from its leaves",
+        "long as the domain, through density 1; 0 takes custom coefficients as they are. "
+        "Foliage has its own, from its leaves",
         default=30,
-        min=0.001,
+        min=0,
         soft_max=200,
     )
     grid: StringProperty(
@@ -112,6 +146,7 @@ class SceneProperties(bpy.types.PropertyGroup):
         soft_max=8,
     )
     mode: EnumProperty(name="Volumes", description="How a lit volume is rendered", items=MODES)
+    foliage: EnumProperty(name="Foliage", description="How foliage gets its light", items=FOLIAGE)
     strength: FloatProperty(
         name="Strength", description="Factor on the light in the render", default=1, min=0
     )

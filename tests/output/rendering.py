@@ -27,6 +27,29 @@ def dark_scene(location, rotation, width):
     return scene
 
 
+def plane(z, width, material):
+    """A square about the z axis, `width` m wide, that faces up."""
+    mesh = bpy.data.meshes.new("plane")
+    h = width / 2
+    mesh.from_pydata([(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)], [], [(0, 1, 2, 3)])
+    mesh.materials.append(material)
+    ob = bpy.data.objects.new("plane", mesh)
+    bpy.context.scene.collection.objects.link(ob)
+    return ob
+
+
+def surface(kind, **inputs):
+    """A material of one closure, with these values of its inputs."""
+    material = bpy.data.materials.new(kind)
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    shader, output = nodes.new(kind), nodes.new("ShaderNodeOutputMaterial")
+    for name, value in inputs.items():
+        shader.inputs[name].default_value = value
+    material.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return material
+
+
 def render(scene, path, size, samples):
     """(size, size, 3) linear radiance of a Cycles picture, row 0 at the bottom."""
     scene.render.engine = "CYCLES"

@@ -13,7 +13,7 @@ from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
 from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights import PointLight, Sun
 from lb_lighting.transport.medium import Domain
-from tests.output.rendering import centroid, dark_scene, middle, render
+from tests.output.rendering import centroid, dark_scene, middle, plane, render, surface
 from tests.scenery import source
 
 FROM_ABOVE = (0, 0, 10), (0, 0, 0)
@@ -37,27 +37,6 @@ def box(path, light=LIGHT):
     light = np.broadcast_to(np.reshape(light, (-1, 1, 1, 1)), (3, *BOX.shape))
     write_vdb(path, BOX, density, light, {})
     return show_volume(bpy.context, [source("box")], path)
-
-
-def plane(z, width, material):
-    mesh = bpy.data.meshes.new("plane")
-    h = width / 2
-    mesh.from_pydata([(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)], [], [(0, 1, 2, 3)])
-    mesh.materials.append(material)
-    ob = bpy.data.objects.new("plane", mesh)
-    bpy.context.scene.collection.objects.link(ob)
-    return ob
-
-
-def surface(kind, **inputs):
-    material = bpy.data.materials.new(kind)
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    shader, output = nodes.new(kind), nodes.new("ShaderNodeOutputMaterial")
-    for name, value in inputs.items():
-        shader.inputs[name].default_value = value
-    material.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    return material
 
 
 def test_replace_is_the_emission_absorption_integral(tmp_path):

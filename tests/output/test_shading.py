@@ -3,11 +3,19 @@
 
 import addon_utils
 import bpy
+import numpy as np
 import pytest
 
 from lb_lighting.errors import OutputError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
-from lb_lighting.output.groups import AMBIENT_GROUP, BEAM_GROUP, VOLUME_GROUP
+from lb_lighting.output.groups import (
+    AMBIENT_GROUP,
+    BEAM_GROUP,
+    VOLUME_GROUP,
+    ambient_group,
+    volume_group,
+)
+from lb_lighting.output.modifier import GRID_GROUP, grid_group
 from lb_lighting.output.ours import is_ours
 from lb_lighting.output.shading import (
     hide_source,
@@ -22,6 +30,7 @@ from lb_lighting.output.shading import (
     unwire_unused,
     wire_ambient,
 )
+from lb_lighting.output.vdb import AXES
 from lb_lighting.output.volume import remove_baked, show_volume
 from lb_lighting.scene.materials import leaf_optics
 from tests.scenery import source
@@ -549,8 +558,28 @@ def test_groups_explain_their_inputs(tmp_path):
     shade_volume(show_volume(bpy.context, [source("cloud")], tmp_path / "a.vdb"), "REPLACE", 1, 1)
     wire_ambient(principled())
     assert sorted(bpy.data.node_groups.keys()) == [AMBIENT_GROUP, BEAM_GROUP, VOLUME_GROUP]
+    grid_group()
     for group in bpy.data.node_groups:
         assert all(item.description for item in group.interface.items_tree)
+
+
+def test_groups_bound_their_inputs():
+    """What no value can stand for is given by a link, or a colour, a switch, an object."""
+    made = {group.name: group.interface.items_tree for group in (volume_group(), ambient_group())}
+    made[BEAM_GROUP] = bpy.data.node_groups[BEAM_GROUP].interface.items_tree
+    made[GRID_GROUP] = grid_group().interface.items_tree
+    limits = {}
+    for group, items in made.items():
+        for item in items:
+            if item.in_out == "INPUT" and hasattr(item, "min_value"):
+                values = np.atleast_1d(item.default_value)
+                assert np.all((values >= item.min_value) & (values <= item.max_value))
+                limits[group, item.name] = item.min_value, item.max_value
+    assert limits[VOLUME_GROUP, "G"] == limits[BEAM_GROUP, "G"] == (-1, 1)
+    assert limits[AMBIENT_GROUP, "Alpha"] == (0, 1)
+    assert {low for name, (low, _) in limits.items() if name[1] not in ("G", *AXES)} == {0}
+    hidden = {item.name for items in made.values() for item in items if item.hide_value}
+    assert hidden == {"Direct", "Others", "Light"}
 
 
 def test_a_group_of_the_user_with_our_name_is_not_taken_for_ours():

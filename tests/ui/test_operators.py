@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from lb_lighting import job
-from lb_lighting.options import MODES, Options
+from lb_lighting.options import FOLIAGE, MODES, Options
 from lb_lighting.output.volume import baked_volumes
-from lb_lighting.scene.sources import FROM_MATERIAL
+from lb_lighting.scene.sources import CUSTOM, FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS
 from lb_lighting.transport.solver import MODELS
 from lb_lighting.ui import preferences, properties, running
 from tests import scenery
-from tests.scenery import snapshot
+from tests.scenery import bake_light, snapshot
 
 
 def choices(group, name):
@@ -34,9 +34,13 @@ class TestProperties:
             "resolution": 32,
             "padding": 3,
             "medium": "plant",
+            "sigma_s": (1.0, 2.0, 3.5),
+            "sigma_a": (0.25, 0.5, 0.0),
+            "g": (0.5, 0.0, -0.5),
             "optical_depth": 12.5,
             "grid": "smoke",
             "mode": "ADD",
+            "foliage": "MODIFIER",
             "strength": 0.5,
             "model": "paper",
             "handover": 2.0,
@@ -57,9 +61,14 @@ class TestProperties:
         assert (options.resolution, options.padding) == (48, 2)
 
     def test_choices_are_those_that_bake_knows(self):
-        assert choices(properties.SceneProperties, "medium") == [FROM_MATERIAL, *PRESETS]
+        assert choices(properties.SceneProperties, "medium") == [
+            FROM_MATERIAL,
+            CUSTOM,
+            *PRESETS,
+        ]
         assert choices(properties.SceneProperties, "model") == list(MODELS)
         assert choices(properties.SceneProperties, "mode") == list(MODES)
+        assert choices(properties.SceneProperties, "foliage") == list(FOLIAGE)
 
     def test_settings_are_saved_in_the_file(self, tmp_path):
         scene = bpy.context.scene
@@ -160,6 +169,62 @@ class TestClear:
     def test_nothing_to_clear(self, scene, capfd):
         assert bpy.ops.lb_lighting.clear() == {"CANCELLED"}
         assert "Nothing to clear: this scene has no LB light" in capfd.readouterr().out
+
+
+def bounces(scene):
+    kinds = ("volume", "diffuse", "transmission")
+    return tuple(getattr(scene.cycles, f"{kind}_bounces") for kind in kinds)
+
+
+class TestUse:
+    @pytest.fixture
+    def chosen(self, scene):
+        """The user's own bounces."""
+        scene.cycles.volume_bounces, scene.cycles.diffuse_bounces = 2, 3
+        scene.cycles.transmission_bounces = 5
+        return scene
+
+    def test_nothing_is_baked(self, chosen):
+        assert not bpy.ops.lb_lighting.use.poll()
+
+    def test_of_a_volume_surfaces_keep_their_bounces(self, chosen, tmp_path):
+        bake_light(scenery.add_fog(tmp_path))
+        bpy.ops.lb_lighting.use()
+        assert bounces(chosen) == (0, 3, 5)
+        assert chosen.cycles.volume_biased
+        bpy.ops.lb_lighting.use()
+        assert bounces(chosen) == (2, 3, 5)
+        assert chosen.cycles.volume_biased  # the bake's own
+
+    @pytest.mark.parametrize("foliage", FOLIAGE)
+    def test_of_leaves_there_and_back(self, chosen, foliage):
+        bake_light(scenery.add_leaves(), foliage=foliage)
+        before = snapshot()
+        bpy.ops.lb_lighting.use()
+        assert bounces(chosen) == (0, 0, 0)
+        bpy.ops.lb_lighting.use()
+        assert snapshot() == before
+        assert not chosen.cycles.volume_biased
+
+    @pytest.mark.parametrize("shader", ["ShaderNodeBsdfGlass", "ShaderNodeBsdfPrincipled"])
+    def test_glass_stays_clear(self, chosen, shader):
+        bake_light(scenery.add_leaves())
+        glass = bpy.data.materials.new("glass").node_tree.nodes.new(shader)
+        if shader == "ShaderNodeBsdfPrincipled":
+            glass.inputs["Transmission Weight"].default_value = 1
+        bpy.ops.lb_lighting.use()
+        assert bounces(chosen) == (0, 0, 5)
+
+    def test_another_bake_does_not_take_it_for_the_users(self, chosen, tmp_path):
+        sources = scenery.add_fog(tmp_path), scenery.add_leaves()
+        before = snapshot()
+        bake_light(*sources)
+        bpy.ops.lb_lighting.use()
+        bake_light(*sources)
+        assert bounces(chosen) == (0, 0, 0)
+        bpy.ops.lb_lighting.clear()
+        assert snapshot() == before
+        assert not bpy.ops.lb_lighting.use.poll()
 
 
 def select_the_sun(scene):

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Foliage out, without writing on it: a geometry nodes modifier that reads the baked volume.
+
+`LB Ambient Grid` samples the grids of a baked Volume object at every evaluation, where the plant
+is then: what is animated, scattered or instanced is lit anew, and the mesh stays as it is. It
+stores on points what `attribute.write_ambient` writes, `lb_ambient` and `lb_ambient_back`. On an
+instance it stores what falls on a surface of any direction there: `lb_ambient` of the mean of both
+sides, and `lb_ambient_x`, `_y`, `_z`, from which `LB Ambient` finds the light of each side.
+"""
+
+from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, LEAST_OPEN, OPEN_GRID, ambient_axis
+from .groups import ANY, our_group
+from .nodes import add_input, add_math, add_node, add_output, add_vector
+from .ours import TAG, is_ours
+from .vdb import AXES
+
+GRID_GROUP = "LB Ambient Grid"
+
+
+def light_foliage(ob, baked):
+    """Give the mesh object `ob` the modifier that reads the Volume object `baked`, once, as the
+    last of its modifiers; the user's values of its other inputs stay."""
+    modifier = _find(ob)
+    if modifier is None:
+        modifier = ob.modifiers.new(GRID_GROUP, "NODES")
+        modifier.node_group = grid_group()
+        modifier.use_pin_to_last = True
+    volume = modifier.node_group.interface.items_tree["Volume"]
+    getattr(modifier.properties.inputs, volume.identifier).value = baked
+
+
+def has_modifier(ob):
+    """True for an object that `light_foliage` lit."""
+    return _find(ob) is not None
+
+
+def remove_modifier(ob):
+    """Take our modifier off the object `ob`, if it is there."""
+    modifier = _find(ob)
+    if modifier is not None:
+        ob.modifiers.remove(modifier)
+
+
+def _find(ob):
+    return next((m for m in ob.modifiers if m.type == "NODES" and _reads_grid(m.node_group)), None)
+
+
+def _reads_grid(group):
+    return group is not None and is_ours(group) and group[TAG] == GRID_GROUP
+
+
+def grid_group():
+    """Our geometry node group, made where the file does not have it yet."""
+    return our_group(GRID_GROUP, _build, "GeometryNodeTree")
+
+
+def _build(tree):
+    tree.is_modifier = True
+    add_output(tree, "Geometry", "Geometry", "The plant, with its light on it")
+    add_input(tree, "Geometry", "Geometry", "The plant; meshes and instances are lit")
+    add_input(tree, "Volume", "Object", "The baked Volume object whose light is read")
+    add_input(tree, "Strength", "Float", "Factor on the light of this object", 1.0, ANY)
+    realize = (
+        "On: make instances real, and light each of their points. "
+        "Off: keep them; all of an instance has the light at its origin"
+    )
+    add_input(tree, "Realize Instances", "Bool", realize, False)
+    group = add_node(tree, "NodeGroupInput", -1800, 0)
+    geometry, baked, strength, realize = group.outputs[:4]
+
+    geometry = _realized(tree, geometry, realize)
+    parts = add_node(tree, "GeometryNodeSeparateComponents", -1000, 400)
+    tree.links.new(geometry, parts.inputs["Geometry"])
+    light, normal = _light(tree, baked, strength)
+    mesh = _store_sides(tree, parts.outputs["Mesh"], light, normal)
+    instances = parts.outputs["Instances"]
+    for number, (name, value) in enumerate(light.items()):
+        x = 600 + 200 * number
+        instances = _store(tree, instances, name, value, x, 700, domain="INSTANCE")
+
+    join = add_node(tree, "GeometryNodeJoinGeometry", 1500, 400)
+    others = [s for s in parts.outputs if s.enabled and s.name not in ("Mesh", "Instances")]
+    for part in (*others, instances, mesh):
+        tree.links.new(part, join.inputs[0])
+    output = add_node(tree, "NodeGroupOutput", 1700, 400)
+    tree.links.new(join.outputs[0], output.inputs["Geometry"])
+
+
+def _realized(tree, geometry, realize):
+    """The socket of `geometry`, its instances made real where the socket `realize` is on."""
+    node = add_node(tree, "GeometryNodeRealizeInstances", -1400, 500)
+    switch = add_node(tree, "GeometryNodeSwitch", -1200, 400)
+    switch.input_type = "GEOMETRY"
+    tree.links.new(geometry, node.inputs["Geometry"])
+    tree.links.new(realize, switch.inputs["Switch"])
+    tree.links.new(geometry, switch.inputs["False"])
+    tree.links.new(node.outputs["Geometry"], switch.inputs["True"])
+    return switch.outputs["Output"]
+
+
+def _light(tree, baked, strength):
+    """({name: socket} of the vector grids at each element, the socket of its normal).
+
+    Both in the space of the Volume object `baked`, which a bake puts at the world's origin.
+    """
+    info = add_node(tree, "GeometryNodeObjectInfo", -1600, -200)
+    here = add_node(tree, "GeometryNodeObjectInfo", -1600, -500)
+    info.transform_space, here.transform_space = "ORIGINAL", "RELATIVE"
+    for node in (info, here):
+        tree.links.new(baked, node.inputs["Object"])
+    to_baked = _applied(tree, "FunctionNodeInvertMatrix", here.outputs["Transform"], -1400, -500)
+    # Normals turn with the inverse transposed.
+    turn = _applied(tree, "FunctionNodeTransposeMatrix", here.outputs["Transform"], -1400, -700)
+
+    place = add_node(tree, "GeometryNodeInputPosition", -1400, -350).outputs["Position"]
+    place = _transformed(tree, "FunctionNodeTransformPoint", "Vector", place, to_baked, -1200, -350)
+    normal = add_node(tree, "GeometryNodeInputNormal", -1400, -900).outputs["True Normal"]
+    direction = "FunctionNodeTransformDirection"
+    normal = _transformed(tree, direction, "Direction", normal, turn, -1200, -900)
+    unit = add_node(tree, "ShaderNodeVectorMath", -1000, -900)
+    unit.operation = "NORMALIZE"
+    tree.links.new(normal, unit.inputs[0])
+
+    names = (AMBIENT_ATTRIBUTE, *map(ambient_axis, AXES))
+    volume = info.outputs["Geometry"]
+    is_open = _sample(tree, volume, OPEN_GRID, "FLOAT", place, -1000, 0)
+    is_open = add_math(tree, "MAXIMUM", is_open, LEAST_OPEN, -600, 0)
+    factor = add_math(tree, "DIVIDE", strength, is_open, -400, 0)
+    light = {}
+    for number, name in enumerate(names, 1):
+        value = _sample(tree, volume, name, "VECTOR", place, -1000, -180 * number)
+        light[name] = add_vector(tree, "SCALE", value, factor, -200, -180 * number)
+    return light, unit.outputs["Vector"]
+
+
+def _applied(tree, kind, socket, x, y):
+    node = add_node(tree, kind, x, y)
+    tree.links.new(socket, node.inputs[0])
+    return node.outputs[0]
+
+
+def _transformed(tree, kind, name, vector, matrix, x, y):
+    node = add_node(tree, kind, x, y)
+    tree.links.new(vector, node.inputs[name])
+    tree.links.new(matrix, node.inputs["Transform"])
+    return node.outputs[0]
+
+
+def _sample(tree, volume, name, data_type, place, x, y):
+    """The socket of the grid `name` of the geometry `volume`, trilinear at the socket `place`."""
+    grid, sample = (
+        add_node(tree, "GeometryNodeGetNamedGrid", x, y),
+        add_node(tree, "GeometryNodeSampleGrid", x + 200, y),
+    )
+    grid.data_type = sample.data_type = data_type
+    grid.inputs["Name"].default_value = name
+    tree.links.new(volume, grid.inputs["Volume"])
+    tree.links.new(grid.outputs["Grid"], sample.inputs["Grid"])
+    tree.links.new(place, sample.inputs["Position"])
+    return sample.outputs["Value"]
+
+
+def _store_sides(tree, mesh, light, normal):
+    """Store the light of the front and of the back on the points of the socket `mesh`."""
+    mean, *components = light.values()
+    parts = add_node(tree, "ShaderNodeSeparateXYZ", -200, -900)
+    tree.links.new(normal, parts.inputs[0])
+    along = (0, 0, 0)
+    for number, component in enumerate(components):
+        own = add_vector(tree, "SCALE", component, parts.outputs[number], 0, -360 - 180 * number)
+        along = add_vector(tree, "ADD", along, own, 200, -360 - 180 * number)
+    sides = ((AMBIENT_ATTRIBUTE, "SUBTRACT"), (BACK_ATTRIBUTE, "ADD"))
+    for number, (name, operation) in enumerate(sides):
+        side = add_vector(tree, operation, mean, along, 400, -180 * number)
+        side = add_vector(tree, "MAXIMUM", side, (0, 0, 0), 600, -180 * number)
+        mesh = _store(tree, mesh, name, side, 800 + 200 * number, 300)
+    return mesh
+
+
+def _store(tree, geometry, name, value, x, y, domain="POINT"):
+    node = add_node(tree, "GeometryNodeStoreNamedAttribute", x, y)
+    node.data_type, node.domain = "FLOAT_COLOR", domain
+    node.inputs["Name"].default_value = name
+    tree.links.new(geometry, node.inputs["Geometry"])
+    tree.links.new(value, node.inputs["Value"])
+    return node.outputs["Geometry"]

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces show the light of the lattice in both engines: written on points, and of instances."""
+
+import bpy
+import numpy as np
+import pytest
+from scenes import camera, new_object, part, render
+
+MEAN, FLUX = np.array([0.1, 0.2, 0.3]), np.array([0.1, -0.2, 0.3])  # W/(m^2 sr), W/m^2 along +y
+
+
+def white(kind):
+    """A material of that closure alone."""
+    material = bpy.data.materials.new(kind)
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
+    shader.inputs["Color"].default_value = (1, 1, 1, 1)
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def square(material):
+    """An upright square of 2 m whose normal points to the camera, along -y."""
+    mesh = bpy.data.meshes.new("square")
+    mesh.from_pydata([(-1, 0, -1), (1, 0, -1), (1, 0, 1), (-1, 0, 1)], [], [(0, 1, 2, 3)])
+    mesh.materials.append(material)
+    return new_object("square", mesh)
+
+
+def baked(lb, path):
+    """A baked volume whose light is the same everywhere about the origin."""
+    names = ("transport.medium", "transport.field", "output.vdb", "output.volume")
+    medium, fields, vdb, volume = (part(lb, name) for name in names)
+    domain = medium.Domain((-4.0, -4.0, -4.0), 1.0, (8, 8, 8))
+    ones = np.ones((3, *domain.shape))
+    fluence = 4 * np.pi * MEAN[:, None, None, None] * ones
+    flux = np.zeros((3, 3, *domain.shape))
+    flux[:, 1] = FLUX[:, None, None, None]
+    field = fields.Field(domain, fluence, 0 * fluence, flux, fields.Report("physical", "none"))
+    grids = part(lb, "output.ambient").ambient_grids(field)
+    vdb.write_vdb(path, domain, 0 * ones[0], 0 * ones[:1], {}, everywhere=grids)
+    return volume.show_volume(bpy.context, [new_object("source", None)], path)
+
+
+def instance(ob):
+    """An object of one point, where geometry nodes put the object `ob` and nothing else."""
+    mesh = bpy.data.meshes.new("point")
+    mesh.from_pydata([(0, 0, 0)], [], [])
+    tree = bpy.data.node_groups.new("put", "GeometryNodeTree")
+    for in_out in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=in_out, socket_type="NodeSocketGeometry")
+    kinds = ("NodeGroupInput", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints",
+             "NodeGroupOutput")  # fmt: skip
+    points, info, put, output = (tree.nodes.new(kind) for kind in kinds)
+    info.inputs["Object"].default_value = ob
+    info.inputs["As Instance"].default_value = True
+    tree.links.new(points.outputs[0], put.inputs["Points"])
+    tree.links.new(info.outputs["Geometry"], put.inputs["Instance"])
+    tree.links.new(put.outputs[0], output.inputs[0])
+    ob.hide_render = True
+    plant = new_object("plant", mesh)
+    plant.modifiers.new("put", "NODES").node_group = tree
+    return plant
+
+
+@pytest.mark.parametrize("engine", ["BLENDER_EEVEE", "CYCLES"])
+@pytest.mark.parametrize("kind", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"])
+@pytest.mark.parametrize("instanced", [False, True])
+def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced):
+    ob = square(white(kind))
+    part(lb, "output.shading").wire_ambient(ob.active_material)
+    lit = instance(ob) if instanced else ob
+    part(lb, "output.modifier").light_foliage(lit, baked(lb, tmp_path / "a.vdb"))
+    camera(target=(0, 0, 0), width=1)
+    # The flux goes to the seen side of what reflects, and leaves that of what lets through.
+    sign = 1 if kind == "ShaderNodeBsdfDiffuse" else -1
+    picture = render(tmp_path / f"{engine}_{kind}_{instanced}.exr", engine, size=16)
+    expected = MEAN + sign * FLUX / (2 * np.pi)
+    assert picture[8, 8, :3] == pytest.approx(expected, rel=0.01)
