@@ -12,7 +12,7 @@ from ..errors import (
 )
 from .field import Field, Handed, PhotonReport, Report
 from .free_path import SAMPLERS, FreePathSampler, sample_free_paths
-from .lights import PointLight, Sky, Sun
+from .lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
 from .perlin import PerlinMedium
 from .photons import trace
@@ -23,6 +23,7 @@ from .survey import Statistics, advice, histogram_picture, statistics
 __all__ = [
     "PRESETS",
     "SAMPLERS",
+    "AreaLight",
     "Cancelled",
     "DeviceError",
     "Domain",
@@ -43,6 +44,7 @@ __all__ = [
     "SettingsError",
     "Sky",
     "SolverError",
+    "SpotLight",
     "Statistics",
     "Sun",
     "View",

@@ -132,6 +132,8 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
             raise Cancelled("Cancelled; nothing was changed.")
         places, hit, starts, faces = enter(medium.domain, origins, directions)
         power = power[hit]
+        if not power.size:
+            continue
         entered += float(power.sum())
         march.march(places, directions[hit], power * (brightest / unit), starts, faces)
     tallies, reflected, sums = march.read()

@@ -28,7 +28,7 @@ same rays at every call, about per_edge^2 or more of them through each voxel tha
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from math import ceil, gcd
+from math import ceil, gcd, prod
 
 import numpy as np
 
@@ -47,6 +47,10 @@ _RAYS_AT_ONCE = 2**18  # that a light makes
 # has few voxels along its edge. Where it has more, a single one matters less, and rays are many.
 _SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
+# Of an area light: how many points stand for it at least and at most; and how many times the rays
+# of a point light they have together, for each alone leaves its own pattern.
+_FEWEST_POINTS, _MOST_POINTS, _RAYS_OF_AREA = 16, 2**12, 3
+_NO_SLATS = np.pi / 2 - 1e-4  # rad, half the spread from which an area light has no grid
 
 
 @dataclass(frozen=True)
@@ -71,9 +75,7 @@ class Sun:
             if not np.all((density >= 0) & (density <= LARGEST)):
                 raise LightError("A sun's shadow density must be finite and not negative.")
             object.__setattr__(self, "shadow_density", density)
-        length = np.linalg.norm(self.direction)
-        if len(self.direction) != 3 or not np.isfinite(length) or length == 0:
-            raise LightError(f"A sun needs a direction of three numbers; it has {self.direction}.")
+        _check_direction(self.direction, "sun")
         _check_energy(self.irradiance, "irradiance of a sun")
 
     @property
@@ -229,8 +231,58 @@ class Sky:
         return towards, irradiance, 4 * np.pi * even * glow.sum()
 
 
+class _AtPoint:
+    """What lights at a `position` share: photons and rays into the cone that counts.
+
+    Such a light has a `power`, and says by `_relative` how strong it is in directions (n, 3), over
+    a point of that power that shines the same everywhere; `_strongest` is the most of that.
+    """
+
+    _strongest = 1.0
+
+    @property
+    def spectrum(self):
+        """The power, scalar or (bands,)."""
+        return self.power
+
+    def emit(self, count, medium, rng, band):
+        """Photons from the point, spread evenly over directions and with power as it shines there;
+        where it is outside, only into the cone around the domain's bounding sphere, and some of
+        these pass the domain."""
+        tilt, turn = _strata(count, 2, rng)
+        axis, spread = self._cone(medium.domain)
+        directions = _tilted(spread * tilt, turn) @ _frame(axis)
+        origins = np.tile(np.asarray(self.position, float), (count, 1))
+        power = by_band(self.power, medium.bands)[band] * spread / 2 / count
+        return origins, directions, power * self._relative(directions)
+
+    def rays(self, medium, band, per_edge):
+        """Rays spread evenly over the cone, or over all directions: per_edge^2 through the face
+        of a voxel in the farthest corner, but _MOST_RAYS at most."""
+        domain = medium.domain
+        axis, spread = self._cone(domain)
+        count = min(_rays_to(domain, self.position, spread, per_edge), _MOST_RAYS)
+        power = by_band(self.power, medium.bands)[band] * spread / 2 / count
+
+        def pieces():
+            for first in range(0, count, _RAYS_AT_ONCE):
+                numbers = np.arange(first, min(first + _RAYS_AT_ONCE, count))
+                directions = _even_directions(numbers, count, spread) @ _frame(axis)
+                origins = np.broadcast_to(np.asarray(self.position, float), directions.shape)
+                yield origins, directions, power * self._relative(directions)
+
+        return power * self._strongest, pieces()
+
+    def _cone(self, domain):
+        """((3,) m its axis, 1 - the cosine of its half angle): where it shines on the domain."""
+        return _sight(self.position, domain)
+
+    def _relative(self, directions):
+        return np.ones(len(directions))
+
+
 @dataclass(frozen=True)
-class PointLight:
+class PointLight(_AtPoint):
     """Light from a point, the same in all directions.
 
     position  (3,) m
@@ -241,9 +293,79 @@ class PointLight:
     power: tuple | float
 
     def __post_init__(self):
-        if len(self.position) != 3 or not np.all(np.isfinite(self.position)):
-            raise LightError(f"A point light needs a position; it has {self.position}.")
+        _check_place(self.position, "point light")
         _check_energy(self.power, "power of a point light")
+
+
+@dataclass(frozen=True)
+class SpotLight(_AtPoint):
+    """Light from a point into a cone, as Blender has it.
+
+    position   (3,) m
+    direction  (3,), the axis of the cone, the way the light travels; any length but 0
+    power      W, scalar or (bands,), of the point light that is as strong as this on the axis;
+               a spot sends out only the cone's share of it
+    angle      rad, the full angle of the cone, over 0 and up to pi
+    blend      0 to 1, how much of the cone its soft edge takes: with c the cosine to the axis and
+               h that of half the angle, the light falls off by the smoothstep of
+               (c - h) / (blend (1 - h))
+    """
+
+    position: tuple
+    direction: tuple
+    power: tuple | float
+    angle: float
+    blend: float = 0.0
+
+    def __post_init__(self):
+        _check_place(self.position, "spot")
+        _check_direction(self.direction, "spot")
+        _check_energy(self.power, "power of a spot")
+        if not 0 < self.angle <= np.pi + 1e-6:
+            raise LightError(f"A spot's angle must be over 0 and at most pi; it is {self.angle}.")
+        if not 0 <= self.blend <= 1:
+            raise LightError(f"A spot's blend must lie between 0 and 1; it is {self.blend}.")
+
+    def _cone(self, domain):
+        own = np.asarray(self.direction, float), 2 * np.sin(self.angle / 4) ** 2
+        return min(own, _sight(self.position, domain), key=lambda cone: cone[1])
+
+    def _relative(self, directions):
+        axis = np.divide(self.direction, np.linalg.norm(self.direction))
+        inside = directions @ axis - np.cos(self.angle / 2)
+        soft = self.blend * 2 * np.sin(self.angle / 4) ** 2
+        share = np.clip(inside / max(soft, np.finfo(float).tiny), 0, 1)
+        return share**2 * (3 - 2 * share)
+
+
+@dataclass(frozen=True)
+class AreaLight:
+    """Light from one side of a flat rectangle or ellipse, by the cosine (Lambert).
+
+    center   (3,) m
+    u, v     (3,) m, its edges, or the axes of an ellipse, in full; it shines where u x v points
+    power    W, scalar or (bands,)
+    ellipse  whether it is one
+    spread   rad, the full angle at which Blender's grid of slats in front of it lets nothing
+             through any more; pi for no grid. The power is that which the grid lets through
+    """
+
+    center: tuple
+    u: tuple
+    v: tuple
+    power: tuple | float
+    ellipse: bool = False
+    spread: float = np.pi
+
+    def __post_init__(self):
+        for place in (self.center, self.u, self.v):
+            _check_place(place, "area light")
+        _check_direction(np.cross(self.u, self.v), "area light")
+        _check_energy(self.power, "power of an area light")
+        if not 0 < self.spread <= np.pi + 1e-6:
+            raise LightError(
+                f"The spread of an area light must be over 0 and at most pi; it is {self.spread}."
+            )
 
     @property
     def spectrum(self):
@@ -251,44 +373,75 @@ class PointLight:
         return self.power
 
     def emit(self, count, medium, rng, band):
-        """Photons from the point, all of the same power; where it is outside, only into the cone
-        around the domain's bounding sphere, and some of these pass the domain."""
-        power = by_band(self.power, medium.bands)[band]
-        tilt, turn = _strata(count, 2, rng)
+        """Photons from all over it, spread evenly over directions and with power as it shines
+        there; some of them pass the domain."""
+        across, along, tilt, turn = _strata(count, 4, rng)
         axis, spread = self._cone(medium.domain)
         directions = _tilted(spread * tilt, turn) @ _frame(axis)
-        origins = np.tile(np.asarray(self.position, float), (count, 1))
-        return origins, directions, np.full(count, power * spread / 2 / count)
+        power = by_band(self.power, medium.bands)[band] * spread / 2 / count
+        return self._points(across, along), directions, power * self._relative(directions)
 
     def rays(self, medium, band, per_edge):
-        """Rays spread evenly over the cone, or over all directions: per_edge^2 through the face
-        of a voxel in the farthest corner, but _MOST_RAYS at most."""
+        """Those of points spread evenly over it: together _RAYS_OF_AREA per_edge^2 or more through
+        the face of a voxel in the farthest corner, but _MOST_RAYS at most."""
         domain = medium.domain
+        points = self._points(*rank_1(self._count(domain)))
         axis, spread = self._cone(domain)
-        ends = np.array((domain.origin, domain.upper)) - self.position
-        farthest = np.linalg.norm(np.abs(ends).max(axis=0))
-        wanted = 2 * np.pi * spread * (per_edge * farthest / domain.voxel_size) ** 2
-        count = min(ceil(wanted), _MOST_RAYS)
-        power = by_band(self.power, medium.bands)[band] * spread / 2 / count
+        wanted = _rays_to(domain, self.center, spread, per_edge) * _RAYS_OF_AREA
+        count = ceil(min(wanted, _MOST_RAYS) / len(points))  # of each
+        power = by_band(self.power, medium.bands)[band] * spread / 2 / (count * len(points))
+        frame = _frame(axis)
 
         def pieces():
-            for first in range(0, count, _RAYS_AT_ONCE):
-                numbers = np.arange(first, min(first + _RAYS_AT_ONCE, count))
-                directions = _even_directions(numbers, count, spread) @ _frame(axis)
-                origins = np.broadcast_to(np.asarray(self.position, float), directions.shape)
-                yield origins, directions, np.full(len(numbers), power)
+            for number, point in enumerate(points):
+                turn = _GOLDEN * number / count  # so that the errors of points differ
+                directions = _even_directions(np.arange(count), count, spread, turn) @ frame
+                origins = np.broadcast_to(point, directions.shape)
+                yield origins, directions, power * self._relative(directions)
 
-        return power, pieces()
+        return power * self._strongest, pieces()
+
+    def _count(self, domain):
+        """How many points stand for it: about as far from each other as from what they light."""
+        lower, upper = np.array((domain.origin, domain.upper))
+        reach = (np.abs(self.u) + np.abs(self.v)) / 2
+        gap = np.maximum(np.maximum(lower - reach - self.center, self.center - reach - upper), 0)
+        step = max(np.linalg.norm(gap), domain.voxel_size / 2)
+        wanted = prod(ceil(np.linalg.norm(edge) / step) for edge in (self.u, self.v))
+        return int(np.clip(wanted, _FEWEST_POINTS, _MOST_POINTS))
+
+    def _points(self, across, along):
+        """(n, 3) m: points on it by two shares (n,) of it, evenly where these are."""
+        if self.ellipse:
+            radius, turn = np.sqrt(across), 2 * np.pi * along
+            x, y = radius * np.cos(turn) / 2, radius * np.sin(turn) / 2
+        else:
+            x, y = across - 0.5, along - 0.5
+        return np.outer(x, self.u) + np.outer(y, self.v) + self.center
 
     def _cone(self, domain):
-        """((3,) m its axis, 1 - the cosine of its half angle): where the domain is seen."""
-        lower, upper = np.array((domain.origin, domain.upper))
-        axis = (lower + upper) / 2 - self.position
-        distance, radius = np.linalg.norm(axis), np.linalg.norm(upper - lower) / 2
-        if distance <= radius:
-            return axis, 2.0
-        sine_squared = (radius / distance) ** 2
-        return axis, sine_squared / (1 + np.sqrt(1 - sine_squared))  # keeps its digits far away
+        """((3,) its axis, 1 - the cosine of its half angle): where it shines on the domain."""
+        half = min(self.spread, np.pi) / 2
+        reach = np.linalg.norm(np.abs(self.u) + np.abs(self.v)) / 2
+        own = np.cross(self.u, self.v), 2 * np.sin(half / 2) ** 2
+        return min(own, _sight(self.center, domain, reach), key=lambda cone: cone[1])
+
+    def _relative(self, directions):
+        """(n,): how strong it is in directions, over a point that shines the same everywhere."""
+        normal = np.cross(self.u, self.v)
+        cosine = directions @ normal / np.linalg.norm(normal)
+        half = min(self.spread, np.pi) / 2
+        if half > _NO_SLATS:
+            return 4 * np.maximum(cosine, 0)
+        # cosine times (tan half - tan of the angle), over its integral that makes it a share.
+        sine = np.sqrt(np.maximum(1 - cosine**2, 0))
+        through = np.where(cosine > 0, cosine * np.tan(half) - sine, 0)
+        return 4 * np.maximum(through, 0) / (np.tan(half) - half)
+
+    @property
+    def _strongest(self):
+        half = min(self.spread, np.pi) / 2
+        return 4.0 if half > _NO_SLATS else 4 * np.tan(half) / (np.tan(half) - half)
 
 
 class Emission:
@@ -362,6 +515,17 @@ def _check_energy(value, what):
     bad = value[~((value >= 0) & (value <= LARGEST))]  # NaN is neither
     if bad.size:
         raise LightError(f"The {what} must be between 0 and {LARGEST:.2g}; it is {bad[0]:g}.")
+
+
+def _check_place(place, what):
+    if len(place) != 3 or not np.all(np.isfinite(place)):
+        raise LightError(f"A {what} needs a position; it has {place}.")
+
+
+def _check_direction(direction, what):
+    length = np.linalg.norm(direction)
+    if len(direction) != 3 or not np.isfinite(length) or length == 0:
+        raise LightError(f"A {what} needs a direction of three numbers; it has {direction}.")
 
 
 def _strata(count, dimensions, rng):
@@ -452,11 +616,32 @@ def _frame(axis):
     return np.stack((first, second, np.cross(first, second)))
 
 
-def _even_directions(numbers, count, spread=2.0):
+def _even_directions(numbers, count, spread=2.0, turn=0.0):
     """(n, 3) unit vectors: those `numbers` (n,) of `count` that are spread evenly over the cone
-    around the x axis whose half angle's cosine is 1 - spread. Fibonacci's lattice.
+    around the x axis whose half angle's cosine is 1 - spread, `turn` turns around it. Fibonacci's
+    lattice.
     """
-    return _tilted(spread * (numbers + 0.5) / count, numbers * _GOLDEN % 1)
+    return _tilted(spread * (numbers + 0.5) / count, (numbers * _GOLDEN + turn) % 1)
+
+
+def _sight(position, domain, reach=0.0):
+    """((3,) m its axis, 1 - the cosine of its half angle): the cone in which the domain is seen
+    from all places up to `reach` m around the position."""
+    lower, upper = np.array((domain.origin, domain.upper))
+    axis = (lower + upper) / 2 - position
+    distance, radius = np.linalg.norm(axis), np.linalg.norm(upper - lower) / 2 + reach
+    if distance <= radius:
+        return axis, 2.0
+    sine_squared = (radius / distance) ** 2
+    return axis, sine_squared / (1 + np.sqrt(1 - sine_squared))  # keeps its digits far away
+
+
+def _rays_to(domain, position, spread, per_edge):
+    """How many rays, evenly over a cone of `_sight`, are per_edge^2 through the face of a voxel
+    in the corner of the domain that is farthest from the position."""
+    ends = np.array((domain.origin, domain.upper)) - position
+    farthest = np.linalg.norm(np.abs(ends).max(axis=0))
+    return ceil(2 * np.pi * spread * (per_edge * farthest / domain.voxel_size) ** 2)
 
 
 def _beams(domain, directions, irradiances, per_edge):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import Cancelled
-from lb_lighting.transport import Medium, PointLight, Sky, Sun, trace
+from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun, trace
 from lb_lighting.transport.device import devices
 from lb_lighting.transport.direct import cast
 from lb_lighting.transport.lights import Emission
@@ -38,6 +38,8 @@ LIGHTS = {
     "sky by direction": Sky(lambda towards: np.maximum(towards[..., 2], 0)),
     "point inside": PointLight((-0.5, 0.33, 2.2), 3.0),
     "point outside": PointLight((-5, 3, 2.2), 3.0),
+    "spot": SpotLight((-5, 3, 2.2), (1, -0.55, 0), 3.0, 0.25, 0.6),
+    "area": AreaLight((-0.5, 0.6, 3.7), (1, 0, 0), (0, -0.8, 0.2), 3.0),
     "beam": Beam((-0.93, 0.01, 2.0), (0.2, 0.1, 1), diffuse=True),
     "emission": Emission(patchy()),
 }
@@ -154,6 +156,62 @@ def test_a_point_light_falls_off_by_the_square_and_by_absorption(position, sigma
 
 
 @on_opencl
+def test_a_spot_is_the_point_light_within_its_cone(device):
+    medium, position = Medium(np.ones((16, 16, 16)), 0.125, 1, 0), (1.0, 1.0, 5.0)
+    spot = SpotLight(position, (0, 0, -1), 2.0, 0.5, 0.5)
+    lit, point = (
+        cast(medium, light, 0, 0.7, device) for light in (spot, PointLight(position, 2.0))
+    )
+    way = samples(medium, 4) - position
+    cosine = -way[..., 2] / np.linalg.norm(way, axis=-1)
+    edge = np.cos(0.25)
+    share = np.clip((cosine - edge) / (0.5 * (1 - edge)), 0, 1)
+    expected = (share**2 * (3 - 2 * share)).mean(axis=-1)
+    assert lit.direct / point.direct == pytest.approx(expected, abs=0.02)
+    assert np.linalg.norm(lit.direct - expected * point.direct) < 4e-3 * np.linalg.norm(lit.direct)
+
+
+def angle_filled(points, a, b):
+    """sr of the rectangle |x| < a, |y| < b, z = 0 as points (..., 3) see it."""
+    x, y, d = np.moveaxis(np.abs(points), -1, 0)
+
+    def corner(x, y):
+        return np.arctan2(x * y, d * np.sqrt(x**2 + y**2 + d**2))
+
+    return sum(corner(a + i * x, b + j * y) for i in (-1, 1) for j in (-1, 1))
+
+
+@on_opencl
+@pytest.mark.parametrize(
+    ("size", "height", "allowed"),
+    [(0.5, 3.0, 0.02), (3, 3.0, 0.02), (3, 2.3, 0.03), (1, 1.3, 0.12)],
+)
+def test_an_area_light_is_as_bright_as_the_angle_that_it_fills(size, height, allowed, device):
+    """Its radiance is 1, and it shines downwards. The last one is inside, where the voxels that it lies in
+    have most of the error (L2)."""
+    medium = Medium(np.ones((16, 16, 16)), 0.125, 1, 0)
+    center = (1.1, 0.9, height)
+    light = AreaLight(center, (size, 0, 0), (0, -size / 2, 0), np.pi * size**2 / 2)
+    found = cast(medium, light, 0, 0.0, device, per_edge=6)
+    points = samples(medium, 4) - center
+    seen = np.where(points[..., 2] < 0, angle_filled(points, size / 2, size / 4), 0)
+    expected = seen.mean(axis=-1)
+    assert np.linalg.norm(found.direct - expected) < allowed * np.linalg.norm(expected)
+    assert found.direct.sum() == pytest.approx(expected.sum(), rel=1e-2)
+    assert not found.direct[expected == 0].any()
+    assert np.all(found.flux[2] <= 0)
+
+
+@on_opencl
+def test_light_that_misses_the_domain_is_none(device):
+    medium = Medium(np.ones((4, 4, 4)), 0.1, 1, 0)
+    away = SpotLight((0.2, 0.2, 1), (0, 0, 1), 1.0, 0.5)
+    result = cast(medium, away, 0, 1.0, device)
+    assert result.entered == 0
+    assert not result.direct.any()
+
+
+@on_opencl
 def test_a_void_under_a_uniform_sky_is_as_bright_as_the_sky(device):
     result = cast(Medium(np.zeros((12, 9, 14)), H, 1, 0), Sky(0.5), 0, 1.0, device)
     assert np.abs(result.direct / (2 * np.pi) - 1).max() < 1e-2
@@ -181,7 +239,7 @@ def test_a_medium_that_glows_like_the_sky_is_a_furnace(device):
 
 
 @on_opencl
-@pytest.mark.parametrize("lit", ["sun", "sky", "point inside", "emission"])
+@pytest.mark.parametrize("lit", ["sun", "sky", "point inside", "spot", "area", "emission"])
 def test_photons_collide_first_where_rays_do(lit, device):
     """Of 16 traces, in the voxels that 20 photons of each or more reach; a false alarm comes once
     in 10 000 seeds, see `assert_near`. The rays' own error is taken for 1 % of a voxel's light.

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import LightError
-from lb_lighting.transport import Medium, PointLight, Sky, Sun
+from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun
 from lb_lighting.transport.lights import Emission, multiple
 
 FALSE_ALARMS = 10_000
@@ -44,6 +44,10 @@ LIGHTS = {
     "sky by direction": Sky(overhead),
     "point inside": PointLight((0, 3, 4), 5.0),
     "point outside": PointLight((4, 3, 4), 5.0),
+    "spot inside": SpotLight((0, 3, 4), (1, 0.4, -0.2), 5.0, 1.2, 0.5),
+    "spot outside": SpotLight((4, 3, 4), (-1, 0.1, 0), 5.0, 0.7),
+    "area inside": AreaLight((0, 3, 4), (0, 1, 0), (0, 0, 2), 5.0),
+    "area outside": AreaLight((4, 3, 4), (0, 1, 2), (0.5, 1, 0), 5.0, ellipse=True),
     "emission": Emission(
         Medium(np.ones(SHAPE), 0.5, (1, 1), 0, origin=LOWER, emission=np.ones(SHAPE))
     ),
@@ -336,6 +340,99 @@ def test_point_outside_sends_a_cone_around_the_bounding_sphere():
         assert power.sum() == pytest.approx(sine**2 / (1 + np.sqrt(1 - sine**2)) / 2, rel=1e-6)
 
 
+def total_of(light):
+    """W that reach the box, photons counted that cross its bounding sphere."""
+    return np.mean([emitted(light, seed=seed)[2].sum() for seed in range(20)])
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.3, 1.0])
+def test_a_spot_sends_out_what_its_falloff_leaves(blend):
+    """The smoothstep's mean is a half: of the soft edge's solid angle half the light is left."""
+    angle, power = 1.5, 5.0
+    light = SpotLight((0, 3, 4), (2, -1, 0.5), power, angle, blend)
+    cap = 1 - np.cos(angle / 2)
+    assert total_of(light) == pytest.approx(power * cap / 2 * (1 - blend / 2), rel=1e-3)
+
+
+def test_a_spot_shines_into_its_cone_alone():
+    light = SpotLight((0, 3, 4), (2, -1, 0.5), 5.0, 0.8, 0.2)
+    _, directions, power = emitted(light)
+    axis = np.divide(light.direction, np.linalg.norm(light.direction))
+    angles = np.arccos(np.clip(directions @ axis, -1, 1))
+    assert angles.max() < 0.4 + 1e-9
+    inner = np.arccos(np.cos(0.4) + 0.2 * (1 - np.cos(0.4)))
+    assert np.ptp(power[angles < inner]) == pytest.approx(0, abs=1e-12)
+    assert power[angles > 0.3995].max() < 1e-3 * power.max()
+
+
+def test_a_distant_spot_is_a_point_of_its_power():
+    middle = LOWER + SIZE / 2
+    position = tuple(middle - (0, 0, 500.0))
+    spot = SpotLight(position, (0, 0, 1), 7.0, 0.5, 0.1)
+    assert total_of(spot) == pytest.approx(total_of(PointLight(position, 7.0)), rel=1e-6)
+
+
+@pytest.mark.parametrize("spread", [np.pi, 2.0, 0.3])
+@pytest.mark.parametrize("ellipse", [False, True])
+def test_an_area_light_sends_out_its_power_to_one_side(ellipse, spread):
+    light = AreaLight((0, 3, 4), (0, 1, 0), (0, 0.3, 2), 5.0, ellipse, spread)
+    origins, directions, _ = emitted(light)
+    assert total_of(light) == pytest.approx(5.0, rel=1e-3)
+    assert directions[:, 0].min() >= np.cos(spread / 2) - 1e-9
+    y, z = (origins - light.center)[:, 1:].T
+    across, along = y - 0.3 * z / 2, z / 2  # shares of the edges
+    assert np.all(origins[:, 0] == 0)
+    edge = np.hypot(across, along) if ellipse else np.maximum(abs(across), abs(along))
+    assert 0.49 < edge.max() <= 0.5
+    inner = np.mean(edge < 0.25)  # evenly over it: a quarter of its area, whatever its shape
+    assert inner == pytest.approx(0.25, abs=0.01)
+
+
+def test_slats_leave_light_by_their_angle():
+    """Through the square as the tangent of half the spread less that of the angle, by the cosine:
+    within the angle a goes (tan(h) sin^2(a) - a + sin(a) cos(a)) / (tan(h) - h)."""
+    half, angle = 0.6, 0.35
+    light = AreaLight((0, 3, 4), (0, 1, 0), (0, 0, 1), 5.0, spread=2 * half)
+    _, directions, power = emitted(light, 100_000)
+    share = np.tan(half) * np.sin(angle) ** 2 - angle + np.sin(angle) * np.cos(angle)
+    share /= np.tan(half) - half
+    inner = power[directions[:, 0] > np.cos(angle)].sum()
+    assert inner / power.sum() == pytest.approx(share, rel=2e-3)
+
+
+@pytest.mark.parametrize("shining", [1, -1])
+def test_an_area_light_lights_a_face_by_its_view_factor(shining):
+    """Of two parallel squares with the edge a in the distance a: .1998 (Howell, C-11)."""
+    medium = Medium(np.ones((2, 2, 2)), 0.5, 1, 0)
+    light = AreaLight((0.5, 0.5, 2.0), (shining, 0, 0), (0, -1, 0), 3.0)
+    reached = []
+    for seed in range(20):
+        origins, directions, power = emitted(light, 20_000, seed, medium=medium)
+        hit = origins - directions / np.where(directions[:, 2:], directions[:, 2:], np.inf)
+        inside = np.all((hit[:, :2] >= 0) & (hit[:, :2] <= 1), axis=1)
+        reached.append(power[inside & (directions[:, 2] < 0)].sum())
+    assert np.mean(reached) == pytest.approx(3 * 0.1998 if shining > 0 else 0, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("light", "sentence"),
+    [
+        (lambda: SpotLight((0, 0), (0, 0, 1), 1.0, 1.0), "spot needs a position"),
+        (lambda: SpotLight((0, 0, 0), (0, 0, 0), 1.0, 1.0), "spot needs a direction"),
+        (lambda: SpotLight((0, 0, 0), (0, 0, 1), -1.0, 1.0), "power of a spot must be"),
+        (lambda: SpotLight((0, 0, 0), (0, 0, 1), 1.0, 0.0), "spot's angle"),
+        (lambda: SpotLight((0, 0, 0), (0, 0, 1), 1.0, 1.0, 1.1), "spot's blend"),
+        (lambda: AreaLight((0, 0, np.nan), (1, 0, 0), (0, 1, 0), 1.0), "needs a position"),
+        (lambda: AreaLight((0, 0, 0), (1, 0, 0), (2, 0, 0), 1.0), "needs a direction"),
+        (lambda: AreaLight((0, 0, 0), (1, 0, 0), (0, 1, 0), np.inf), "power of an area light"),
+        (lambda: AreaLight((0, 0, 0), (1, 0, 0), (0, 1, 0), 1.0, spread=4.0), "spread of an"),
+    ],
+)
+def test_impossible_lamps_are_refused(light, sentence):
+    with pytest.raises(LightError, match=sentence):
+        light()
+
+
 def test_point_at_the_centre():
     light = PointLight(tuple(LOWER + SIZE / 2), 1.0)
     np.testing.assert_allclose(emitted(light)[1].mean(axis=0), 0, atol=1e-3)
@@ -399,6 +496,8 @@ DARK = Medium(np.ones(SHAPE), 0.5, (1, 1), 0, emission=np.zeros(SHAPE))
         Sky(0.0),
         Sky(lambda towards: 0.0),
         PointLight((0, 0, 0), 0.0),
+        SpotLight((0, 0, 0), (0, 0, 1), 0.0, 1.0),
+        AreaLight((0, 0, 0), (1, 0, 0), (0, 1, 0), 0.0),
         Emission(DARK),
     ],
 )
@@ -417,6 +516,8 @@ def test_lights_that_are_off_emit_nothing(light):
         Sky(lambda towards: (1, 2, 3)),
         Sky(lambda towards: np.ones((*towards.shape[:-1], 3))),
         PointLight((0, 0, 0), (1, 2, 3)),
+        SpotLight((0, 0, 0), (0, 0, 1), (1, 2, 3), 1.0),
+        AreaLight((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 2, 3)),
     ],
 )
 def test_other_bands_than_the_mediums_are_refused(light):
@@ -479,7 +580,8 @@ def test_rays_are_the_same_light_every_time(light):
     rays = [np.concatenate(parts) for parts in zip(*pieces, strict=True)]
     _, directions, power = rays
     assert power.min() >= 0
-    assert power.max() == pytest.approx(strongest)
+    assert power.max() == pytest.approx(strongest, rel=1e-3)
+    assert power.max() <= strongest * (1 + 1e-12)
     assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
     if not isinstance(light, Emission):  # whose rays gather their power on their way
         expected = emitted(light)[2].sum()
