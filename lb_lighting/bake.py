@@ -19,7 +19,7 @@ from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, volume
-from .scene.lights import scene_lights, unread_lamps
+from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks import FIELD, Estimate, Light, Lit
@@ -181,7 +181,6 @@ def gather(context, objects, options, path=None):
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
             if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
         }
-        reader.notes.extend(unread_lamps(depsgraph))
         lights = scene_lights(context.scene, depsgraph)
     reader.notes.extend(
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "

@@ -57,7 +57,7 @@ class Lit:
 
     domain   the `Domain` of the solve
     report   the solver's
-    beams    the `Sun` and `PointLight` of each grid of unscattered light in the file
+    beams    the `Sun`, `PointLight` or `SpotLight` of each grid of unscattered light in the file
     optics   what the lit volume renders at density 1
     ambient  {number of the source: (2, vertices, bands) W/(m^2 sr)}, see output/ambient.py
     notes    sentences that the user should read

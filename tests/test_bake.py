@@ -125,10 +125,17 @@ class TestVolume:
         assert light.max() == pytest.approx(outcome.field.fluence.max() / (4 * np.pi), rel=0.2)
         assert len(baked().active_material.node_tree.nodes) == 2
 
-    def test_lamps_that_are_not_read_are_told(self, scene, tmp_path):
-        scenery.link("lamp", bpy.data.lights.new("lamp", "AREA"))
-        notes = bake_light(scenery.add_fog(tmp_path)).notes
-        assert "Spots and areas are not read: 'lamp'; use suns and points instead." in notes
+    def test_spots_are_beams_and_areas_are_not(self, scene, tmp_path):
+        for kind in ("SPOT", "AREA"):
+            lamp = scenery.link(kind, bpy.data.lights.new(kind, kind))
+            lamp.location = (0, 0, 5)
+        outcome = bake_light(scenery.add_fog(tmp_path))
+        spot, area = outcome.field.by_light[1:, 0]
+        assert spot.any()
+        assert area.any()
+        nodes = baked().active_material.node_tree.nodes
+        assert {node.label for node in nodes if node.label} == {"lb_direct_1", "lb_direct_2"}
+        assert not outcome.notes or "not read" not in " ".join(outcome.notes)
 
     def test_coefficients_per_unit_of_object_space(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)

@@ -17,7 +17,7 @@ import math
 import bpy
 
 from ..errors import OutputError
-from ..transport.lights import PointLight
+from ..transport.lights import Sun
 from .attribute import has_ambient
 from .groups import (
     AMBIENT_GROUP,
@@ -107,7 +107,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), strength=1.0):
     mode              "REPLACE" or "ADD"
     sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, scalar or (3,)
     g                 mean cosine of the scattering angle, scalar or (3,)
-    beams             the `Sun` and `PointLight` of each grid `direct_grid(1)`, `direct_grid(2)` ...
+    beams             the `Sun`, `PointLight` or `SpotLight` of each grid `direct_grid(1)` ...
     strength          factor on the light, dimensionless
     """
     material = _volume_material(ob.data)
@@ -370,7 +370,11 @@ def _insert_beam(tree, target, number, beam, g):
     grid = new("ShaderNodeAttribute", 0)
     grid.attribute_name = direct_grid(number)
     tree.links.new(grid.outputs["Vector"], node.inputs["Light"])
-    if isinstance(beam, PointLight):
+    if isinstance(beam, Sun):
+        length = math.hypot(*beam.direction)
+        for axis, component in zip(AXES, beam.direction, strict=True):
+            node.inputs[axis].default_value = (component / length,) * 3
+    else:
         place = new("ShaderNodeNewGeometry", 200)
         away, toward = new("ShaderNodeVectorMath", 400), new("ShaderNodeVectorMath", 600)
         away.operation, toward.operation = "SUBTRACT", "NORMALIZE"
@@ -381,10 +385,6 @@ def _insert_beam(tree, target, number, beam, g):
         tree.links.new(toward.outputs["Vector"], parts.inputs[0])
         for axis in AXES:
             tree.links.new(parts.outputs[axis], node.inputs[axis])
-    else:
-        length = math.hypot(*beam.direction)
-        for axis, component in zip(AXES, beam.direction, strict=True):
-            node.inputs[axis].default_value = (component / length,) * 3
     tree.links.new(node.outputs["Radiance"], target)
     return node.inputs["Others"]
 

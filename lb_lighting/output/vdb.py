@@ -11,7 +11,7 @@ import numpy as np
 import openvdb
 
 from ..errors import OutputError
-from ..transport.lights import PointLight, Sun
+from ..transport.lights import PointLight, SpotLight, Sun
 
 LIGHT_GRID = "lb_light"
 AXES = ("X", "Y", "Z")
@@ -31,7 +31,7 @@ def volume_light(field, lights, mode):
     others  {name of a grid: (bands, nx, ny, nz)}: lb_flux_x ... are the components of the net flux
             of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance,
             W/(m^2 sr), of the unscattered light that comes from one direction
-    beams   the Sun or PointLight of each lb_direct
+    beams   the Sun, PointLight or SpotLight of each lb_direct
 
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
     Of the paper's field all is shown as if it came evenly from all sides.
@@ -40,7 +40,7 @@ def volume_light(field, lights, mode):
     if field.by_light is None:
         return (fluence + field.direct) / _SPHERE, {}, []
     if mode == "REPLACE":
-        of_beam = [isinstance(light, Sun | PointLight) for light in lights]
+        of_beam = [isinstance(light, Sun | PointLight | SpotLight) for light in lights]
         beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
         unscattered = field.by_light[of_beam]
         # Rounding leaves less than nothing where beams are all there is.

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The suns, the points and the sky of a Blender scene as transport lights."""
+"""The lamps and the sky of a Blender scene as transport lights."""
 
 import bpy
 import numpy as np
 
 from ..errors import LightError
-from ..transport.lights import PointLight, Sky, Sun
+from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from .shaders import Shader
+
+_NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
 
 
 def scene_lights(scene, depsgraph):
-    """[Sun | PointLight | Sky]: every sun and point lamp that renders, instanced ones too, and the
-    world's mean colour. A lamp of any size counts as a point, a sun of any as one direction.
+    """[light]: every lamp that renders, instanced ones too, and the world's mean colour. A point
+    or spot of any radius counts as a point, a sun of any angle as one direction.
 
     A lamp counts where it is hidden in viewports only; of instances, those that viewports show.
 
@@ -19,19 +21,8 @@ def scene_lights(scene, depsgraph):
     """
     lights = [*_lamps(depsgraph), *_skies(scene.world)]
     if not lights:
-        raise LightError(
-            "The scene has no light; add a sun or a point lamp, or give the world a colour."
-        )
+        raise LightError("The scene has no light; add a lamp, or give the world a colour.")
     return lights
-
-
-def unread_lamps(depsgraph):
-    """[sentence]: one that names the lamps that `scene_lights` leaves out, where there are any."""
-    rendered = _rendered_objects(depsgraph.view_layer.layer_collection)
-    names = [f"'{ob.name}'" for ob in rendered if ob.type == "LIGHT" and not _is_lamp(ob)]
-    if not names:
-        return []
-    return [f"Spots and areas are not read: {', '.join(names)}; use suns and points instead."]
 
 
 def _lamps(depsgraph):
@@ -52,13 +43,41 @@ def _lamps(depsgraph):
 
 
 def _lamp(lamp, matrix):
+    strength = _strength(lamp)
+    x, y, z = (np.array(column, float) for column in matrix.to_3x3().col)
     if lamp.type == "SUN":
-        return Sun(tuple(-matrix.to_3x3().col[2]), _scalar_if_grey(_irradiance(lamp)))
-    return PointLight(tuple(matrix.translation), _scalar_if_grey(_power(lamp)))
+        return Sun(tuple(-z), _scalar_if_grey(strength * _disk(lamp)))
+    place = tuple(matrix.translation)
+    if lamp.type == "AREA":
+        return _area_light(lamp, place, x, y, strength)
+    power = _scalar_if_grey(strength * _sphere(lamp))
+    if lamp.type == "POINT":
+        return PointLight(place, power)
+    # The cone is stretched with the lamp.
+    wide = np.sqrt(np.linalg.norm(x) * np.linalg.norm(y)) / np.linalg.norm(z)
+    angle = 2 * np.arctan(wide * np.tan(min(lamp.spot_size, np.pi - _NARROWEST) / 2))
+    return SpotLight(place, tuple(-z), power, max(float(angle), _NARROWEST), lamp.spot_blend)
+
+
+def _area_light(lamp, place, x, y, strength):
+    """x and y are the lamp's axes, of the length that it is scaled to."""
+    ellipse = lamp.shape in ("DISK", "ELLIPSE")
+    u = x * lamp.size
+    v = y * (lamp.size if lamp.shape in ("SQUARE", "DISK") else lamp.size_y)
+    if not lamp.normalize:
+        # Without normalization the strength is what each m^2 sends out.
+        strength = strength * np.linalg.norm(np.cross(u, v)) * (np.pi / 4 if ellipse else 1)
+    spread = max(lamp.spread, _NARROWEST)
+    # It shines along -z, and so on the side that y x x points to.
+    return AreaLight(place, tuple(v), tuple(u), _scalar_if_grey(strength), ellipse, spread)
 
 
 def _is_lamp(ob):
-    return ob.type == "LIGHT" and ob.data.type in ("SUN", "POINT")
+    """Whether an object is a lamp that shines; a portal shows only where the world does."""
+    if ob.type != "LIGHT":
+        return False
+    is_portal = hasattr(ob.data, "cycles") and ob.data.cycles.is_portal
+    return not (ob.data.type == "AREA" and is_portal)
 
 
 def _rendered_objects(layer):
@@ -88,23 +107,21 @@ def _world_matrix(ob, depsgraph):
     return matrix
 
 
-def _irradiance(lamp):
-    """(3,) W/m^2 on a surface that faces the sun, as Cycles has it."""
-    irradiance = _strength(lamp)
-    if not lamp.normalize and lamp.angle > 0:
-        # Without normalization the strength is the radiance of the sun's disk.
-        irradiance *= np.pi * np.sin(lamp.angle / 2) ** 2
-    return irradiance
+def _disk(lamp):
+    """W/m^2 on a surface that faces the sun, by its strength, as Cycles has it."""
+    if lamp.normalize or lamp.angle == 0:
+        return 1.0
+    # Without normalization the strength is the radiance of the sun's disk.
+    return np.pi * np.sin(lamp.angle / 2) ** 2
 
 
-def _power(lamp):
-    """(3,) W that a point lamp sends out in all, as Cycles has it."""
-    power = _strength(lamp)
-    if not lamp.normalize:
-        # Without normalization it is what each m^2 of the lamp's sphere sends out; 4 for a point.
-        radius = lamp.shadow_soft_size
-        power *= 4 * (np.pi * radius**2 if radius > 0 else 1)
-    return power
+def _sphere(lamp):
+    """W that a point lamp sends out in all, by its strength, as Cycles has it."""
+    if lamp.normalize:
+        return 1.0
+    # Without normalization it is what each m^2 of the lamp's sphere sends out; 4 for a point.
+    radius = lamp.shadow_soft_size
+    return 4 * (np.pi * radius**2 if radius > 0 else 1)
 
 
 def _strength(lamp):

@@ -11,7 +11,7 @@ from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
 from lb_lighting.output.vdb import DENSITY_GRID, direct_grid, flux_grid, write_vdb
 from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
 from lb_lighting.transport.field import Field, Report
-from lb_lighting.transport.lights import PointLight, Sun
+from lb_lighting.transport.lights import PointLight, SpotLight, Sun
 from lb_lighting.transport.medium import Domain
 from tests.output.rendering import centroid, dark_scene, middle, plane, render, surface
 from tests.scenery import source
@@ -120,6 +120,7 @@ THIN = 1e-3  # 1/m: light is everywhere as if there were nothing
 BEAMS = {
     "sun": [Sun((0.3, 0.2, -0.9), (1.0, 2.0, 0.5))],
     "point": [PointLight((1.0, 0.5, 2.5), (40.0, 20.0, 30.0))],
+    "spot": [SpotLight((1.0, 0.5, 2.5), (-0.4, -0.3, -1.0), (40.0, 20.0, 30.0), 1.1, 0.8)],
     "two suns and a point": [
         Sun((0.0, 0.0, -1.0), (1.0, 0.2, 0.1)),
         Sun((0.0, 3.0, 1.0), (0.1, 0.2, 1.0)),
@@ -133,23 +134,34 @@ def unscattered(beam):
     if isinstance(beam, Sun):
         light = np.ones(BOX.shape)
     else:
-        light = 1 / (4 * np.pi * np.sum((BOX.centers() - beam.position) ** 2, axis=-1))
+        way = BOX.centers() - beam.position
+        light = 1 / (4 * np.pi * np.sum(way**2, axis=-1))
+    if isinstance(beam, SpotLight):
+        cosine = (
+            way @ beam.direction / np.linalg.norm(beam.direction) / np.linalg.norm(way, axis=-1)
+        )
+        edge = np.cos(beam.angle / 2)
+        share = np.clip((cosine - edge) / (beam.blend * (1 - edge)), 0, 1)
+        light *= 3 * share**2 - 2 * share**3
     return np.multiply.outer(np.broadcast_to(beam.spectrum, 3), light) / (4 * np.pi)
 
 
 def lamp(beam):
     """A lamp of Blender that shines as the light does."""
-    sun = isinstance(beam, Sun)
-    data = bpy.data.lights.new("lamp", "SUN" if sun else "POINT")
+    kind = {Sun: "SUN", PointLight: "POINT", SpotLight: "SPOT"}[type(beam)]
+    data = bpy.data.lights.new("lamp", kind)
     data.color = np.broadcast_to(beam.spectrum, 3) / 100
     data.energy = 100
     ob = bpy.data.objects.new("lamp", data)
-    if sun:
+    if kind == "SUN":
         data.angle = 0
-        ob.rotation_euler = Vector(beam.direction).to_track_quat("-Z", "Y").to_euler()
     else:
         data.shadow_soft_size = 0
         ob.location = beam.position
+    if kind != "POINT":
+        ob.rotation_euler = Vector(beam.direction).to_track_quat("-Z", "Y").to_euler()
+    if kind == "SPOT":
+        data.spot_size, data.spot_blend = beam.angle, beam.blend
     bpy.context.scene.collection.objects.link(ob)
 
 
@@ -188,7 +200,8 @@ def look_from(angle):
 
 
 @pytest.mark.parametrize(
-    ("beams", "angle"), [("sun", 0.3), ("sun", 2.6), ("point", 1.0), ("two suns and a point", 2.0)]
+    ("beams", "angle"),
+    [("sun", 0.3), ("sun", 2.6), ("point", 1.0), ("spot", 1.0), ("two suns and a point", 2.0)],
 )
 def test_replace_scatters_beams_as_cycles_does(tmp_path, beams, angle):
     """Each by its own angle to the eye; Cycles' noise is below 0.5 % of the mean."""

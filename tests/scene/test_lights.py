@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Suns, points and the world, held to what Cycles makes of them."""
+"""Lamps and the world, held to what Cycles makes of them."""
 
 from math import pi, radians
 
@@ -9,8 +9,9 @@ import pytest
 from mathutils import Euler
 
 from lb_lighting.errors import LightError
-from lb_lighting.scene.lights import scene_lights, unread_lamps
-from lb_lighting.transport.lights import PointLight, Sky, Sun
+from lb_lighting.scene.lights import scene_lights
+from lb_lighting.transport import Medium
+from lb_lighting.transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 
 
 def add_sun(collection=None, rotation=(0, 0, 0), **settings):
@@ -197,25 +198,101 @@ class TestPoints:
         assert lights() == [PointLight((1.5, 2, 3), 10.0)]
 
 
-class TestOtherLamps:
-    def test_do_not_count(self):
-        add_lamp("SPOT")
+def falloff(cosine, angle, blend):
+    """Of a spot, (n,): the smoothstep between the cone's edge and its soft edge's."""
+    edge = np.cos(angle / 2)
+    share = np.clip((cosine - edge) / max(blend * (1 - edge), 1e-9), 0, 1)
+    return 3 * share**2 - 2 * share**3
+
+
+class TestSpots:
+    HEIGHT = 3.0  # m over the ground
+
+    @pytest.mark.parametrize(
+        ("tilt", "settings", "scale"),
+        [
+            (0.0, {"color": (1, 0.5, 0.25), "spot_blend": 1.0}, 1),
+            (0.2, {"use_temperature": True, "temperature": 3000, "spot_blend": 0.6}, 2),
+            (0.24, {"shadow_soft_size": 0.0, "spot_blend": 1.0}, 1),
+            (0.2, {"normalize": False, "shadow_soft_size": 0.02, "spot_blend": 0.15}, 1),
+            (0.0, {"normalize": False, "shadow_soft_size": 0.0}, 1),
+        ],
+    )
+    def test_light_is_that_of_cycles(self, tilt, settings, scale, render):
+        """On a white diffuse ground under it, of which the picture shows .25 m around the foot."""
+        add_white_ground()
+        settings = {"shadow_soft_size": 0.0, "energy": 300.0, "spot_size": 0.6} | settings
+        ob = add_lamp("SPOT", (0, 0, self.HEIGHT), **settings)
+        ob.rotation_euler, ob.scale = (tilt, 0, 0), (scale,) * 3
+        (spot,) = lights()
+        x, y = (np.indices((64, 64)) + 0.5).reshape(2, -1) / 64 * 0.5 - 0.25
+        way = np.stack((x, y, np.full(x.size, -self.HEIGHT)), axis=1)
+        length = np.linalg.norm(way, axis=1)
+        cosine = way @ spot.direction / length / np.linalg.norm(spot.direction)
+        shining = falloff(cosine, spot.angle, spot.blend) * self.HEIGHT / length**3
+        irradiance = np.broadcast_to(spot.power, 3) / (4 * pi) * shining.mean()
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+        ob = add_lamp("SPOT", (1, 2, 3), energy=10.0, spot_size=1.0, spot_blend=0.25)
+        ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
+        (spot,) = lights()
+        assert isinstance(spot, SpotLight)
+        assert spot.position == (1, 2, 3)
+        assert spot.direction == pytest.approx(-rotation.to_matrix().col[2])
+        assert (spot.angle, spot.power, spot.blend) == pytest.approx((1.0, 10.0, 0.25))
+
+    def test_a_stretched_one_has_a_wider_cone(self):
+        add_lamp("SPOT", spot_size=1.0).scale = (2, 2, 1)
+        (spot,) = lights()
+        assert np.tan(spot.angle / 2) == pytest.approx(2 * np.tan(0.5))
+
+
+class TestAreas:
+    HEIGHT = 2.0  # m over the ground, of which the picture shows 0.25 m around the foot
+
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"shape": "SQUARE", "size": 0.5, "color": (1, 0.5, 0.25)},
+            {"shape": "RECTANGLE", "size": 1.0, "size_y": 0.3, "exposure": 1.0},
+            {"shape": "DISK", "size": 1.2},
+            {"shape": "ELLIPSE", "size": 0.4, "size_y": 1.0, "normalize": False},
+            {"shape": "RECTANGLE", "size": 1.0, "size_y": 0.3, "normalize": False},
+            {"shape": "DISK", "size": 0.5, "spread": radians(80)},
+        ],
+    )
+    @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 2, 3)])
+    def test_light_is_that_of_cycles(self, settings, scale, render):
+        """On a white diffuse ground, from photons of ours that hit the part that is seen."""
+        add_white_ground()
+        ob = add_lamp("AREA", (0, 0, self.HEIGHT), energy=100.0, **settings)
+        ob.scale, ob.rotation_euler = scale, (0, 0, 0.7)
+        (area,) = lights()
+        seen = Medium(np.zeros((4, 4, 4)), 0.125, (1, 1, 1), 0, origin=(-0.25, -0.25, 0))
+        irradiance = [self.through_ground(area, seen, band) / 0.25 for band in range(3)]
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def through_ground(self, area, seen, band):
+        origins, toward, power = area.emit(2**18, seen, np.random.default_rng(1), band)
+        toward[:, 2] = np.minimum(toward[:, 2], -1e-9)
+        ends = origins - origins[:, 2:] / toward[:, 2:] * toward
+        return power[np.all(abs(ends[:, :2]) < 0.25, axis=1)].sum()
+
+    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+        ob = add_lamp("AREA", (1, 2, 3), energy=10.0, shape="RECTANGLE", size=2.0, size_y=0.5)
+        ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
+        (area,) = lights()
+        assert isinstance(area, AreaLight)
+        assert area.center == (1, 2, 3)
+        assert np.cross(area.u, area.v) == pytest.approx(-rotation.to_matrix().col[2])
+        assert area.u == pytest.approx(0.5 * rotation.to_matrix().col[1])
+        assert (area.power, area.ellipse, area.spread) == (10.0, False, pytest.approx(pi))
+
+    def test_portals_do_not_shine(self):
+        add_lamp("AREA").data.cycles.is_portal = True
         with pytest.raises(LightError, match="no light"):
             lights()
-
-    def test_are_named(self):
-        add_lamp("SPOT")
-        add_lamp("AREA")
-        add_lamp("SPOT").hide_render = True
-        add_lamp("POINT")
-        add_sun()
-        assert unread_lamps(bpy.context.evaluated_depsgraph_get()) == [
-            "Spots and areas are not read: 'spot', 'area'; use suns and points instead."
-        ]
-
-    def test_none_are_nothing_to_tell(self):
-        add_sun()
-        assert unread_lamps(bpy.context.evaluated_depsgraph_get()) == []
 
 
 class TestWorld:

@@ -187,8 +187,8 @@ def angle_filled(points, a, b):
     [(0.5, 3.0, 0.02), (3, 3.0, 0.02), (3, 2.3, 0.03), (1, 1.3, 0.12)],
 )
 def test_an_area_light_is_as_bright_as_the_angle_that_it_fills(size, height, allowed, device):
-    """Its radiance is 1, and it shines downwards. The last one is inside, where the voxels that it lies in
-    have most of the error (L2)."""
+    """Its radiance is 1, and it shines downwards. The last one is inside, where the voxels that it
+    lies in have most of the error (L2)."""
     medium = Medium(np.ones((16, 16, 16)), 0.125, 1, 0)
     center = (1.1, 0.9, height)
     light = AreaLight(center, (size, 0, 0), (0, -size / 2, 0), np.pi * size**2 / 2)
