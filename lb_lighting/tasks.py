@@ -16,6 +16,7 @@ from .output.vdb import unfinished, volume_light, write_vdb
 from .scene.sources import mixture, occluders, with_shadows
 from .transport import device
 from .transport.field import Report
+from .transport.lights import bands_of
 from .transport.medium import Domain, Medium, Optics, paper_units
 from .transport.solver import require_memory, solve
 
@@ -274,5 +275,4 @@ def duration(seconds):
 def _bands(optics, lights, albedo):
     """3 where a coefficient, a light or an occluder has a colour, else 1."""
     values = [optics.sigma_s, optics.sigma_a, optics.g]
-    values += [light.spectrum for light in lights]
-    return max(len(albedo), *(np.size(value) for value in values))
+    return max(len(albedo), *map(np.size, values), *map(bands_of, lights))

@@ -3,23 +3,27 @@
 
 import bpy
 import numpy as np
+from mathutils import Euler
 
 from ..errors import LightError
 from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
-from .shaders import Shader
+from ..transport.panorama import panorama_lights
+from .shaders import Shader, linear_pixels, resolve
 
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
 
 
-def scene_lights(scene, depsgraph):
-    """[light]: every lamp that renders, instanced ones too, and the world's mean colour. A point
-    or spot of any radius counts as a point, a sun of any angle as one direction.
+def scene_lights(scene, depsgraph, notes):
+    """[light]: every lamp that renders, instanced ones too, and the world. A point or spot of any
+    radius counts as a point, a sun of any angle as one direction.
+
+    notes  list of sentences for the user, which what is read only in part is added to
 
     A lamp counts where it is hidden in viewports only; of instances, those that viewports show.
 
     Raises LightError where nothing shines, or for a world or lamp whose nodes cannot be read.
     """
-    lights = [*_lamps(depsgraph), *_skies(scene.world)]
+    lights = [*_lamps(depsgraph), *_skies(scene.world, notes)]
     if not lights:
         raise LightError("The scene has no light; add a lamp, or give the world a colour.")
     return lights
@@ -132,10 +136,74 @@ def _strength(lamp):
     return strength * _glow(lamp, "EMISSION")
 
 
-def _skies(world):
-    radiance = _glow(world, "BACKGROUND") if world else np.zeros(3)
-    if np.any(radiance):
-        yield Sky(_scalar_if_grey(radiance))
+def _skies(world, notes):
+    """The lights of a world's pictures, by direction, and its other colours as one even sky."""
+    shader = Shader(world, LightError)
+    even, lights = np.zeros(3), []
+    for closure in shader.closures("Surface", {"BACKGROUND"}) if world else ():
+        strength = closure.weight * shader.number(closure, "Strength")
+        mean = strength * shader.color(closure, "Color")  # refuses what cannot be read
+        picture = _picture(shader, closure, notes) if np.any(mean) else None
+        if picture is None:
+            even += mean
+        else:
+            pixels, turn = picture
+            lights += panorama_lights(strength * _grey_if_it_is(pixels[..., :3]), turn)
+    return lights + ([Sky(_scalar_if_grey(even))] if np.any(even) else [])
+
+
+def _picture(shader, closure, notes):
+    """(pixels (height, width, 4), (3, 3) the turn from directions to it) of a background that
+    shows an environment, or None where it has a plain colour, or one of which that must do."""
+    socket, groups = resolve(closure.node.inputs["Color"], closure.groups)
+    if not socket.is_output or socket.node.type != "TEX_ENVIRONMENT":
+        return None
+    turn = _turn(*resolve(socket.node.inputs["Vector"], groups))
+    if turn is None:
+        notes.append(
+            f"The picture of '{shader.owner.name}' counts as its mean colour; turn it by nothing "
+            "but the rotation of a Mapping to light by direction."
+        )
+        return None
+    return linear_pixels(socket.node.image), turn
+
+
+def _turn(socket, groups):
+    """(3, 3) of the world's directions, as nodes change them; None for what is no rotation."""
+    node = socket.node
+    if not socket.is_output:  # a texture without a link takes the direction, another node nothing
+        return np.eye(3) if node.type == "TEX_ENVIRONMENT" else None
+    if node.type == "TEX_COORD":
+        return np.eye(3) if socket.name == "Generated" else None
+    if node.type != "MAPPING":
+        return None
+    inner = _turn(*resolve(node.inputs["Vector"], groups))
+    own = _mapping(node, groups)
+    return None if inner is None or own is None else own @ inner
+
+
+def _mapping(node, groups):
+    """(3, 3) of a Mapping node, or None where it moves, or scales unevenly."""
+    values = {}
+    for name in ("Location", "Rotation", "Scale"):
+        if name in node.inputs and node.inputs[name].enabled:
+            socket, _ = resolve(node.inputs[name], groups)
+            if socket.is_output:
+                return None
+            values[name] = socket.default_value
+    scale = np.array(values["Scale"], float)
+    if np.any(values.get("Location", 0.0)) or not np.all(scale) or np.ptp(np.abs(scale)) > 1e-6:
+        return None
+    turn = np.array(Euler(values["Rotation"]).to_matrix(), float)
+    if node.vector_type == "TEXTURE":
+        turn = turn.T
+        return np.sign(scale)[:, None] * turn
+    return turn * np.sign(scale)
+
+
+def _grey_if_it_is(pixels):
+    """(height, width, 3) as (height, width) where all is grey, so that one band is solved."""
+    return pixels if np.any(np.ptp(pixels, axis=2)) else pixels[..., 0]
 
 
 def _glow(owner, kind):

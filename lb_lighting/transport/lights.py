@@ -35,7 +35,7 @@ import numpy as np
 from ..errors import LightError
 from .medium import LARGEST
 
-_SKY_CELLS = (32, 64)  # in height and around: where a sky given as a function is bright
+SKY_CELLS = (32, 64)  # in height and around: where a sky given as a function is bright
 # Share of such a sky's photons that are spread over all of it, so that what its cells miss is lit.
 _ANYWHERE = 0.1
 # By the axis that x is moved to: where the new x, y and z come from.
@@ -491,6 +491,12 @@ def multiple(lights, medium, band, base):
     return float(factor) if all(alike) else None
 
 
+def bands_of(light):
+    """How many bands the spectrum of a light has: 1 is the same in all."""
+    spectrum = light.spectrum
+    return np.size(spectrum(np.array((0.0, 0.0, 1.0))) if callable(spectrum) else spectrum)
+
+
 def by_band(value, bands):
     """A spectral quantity as (bands,) float64; LightError if it has another number of bands."""
     value = np.atleast_1d(np.asarray(value, float))
@@ -701,14 +707,27 @@ def rank_1(least):
 
 def _in_cells(cell, height, around):
     """(count, 3) unit vectors in cells of the sky, all of the same solid angle."""
-    rows, columns = _SKY_CELLS
+    rows, columns = SKY_CELLS
     row, column = np.divmod(cell, columns)
     return _tilted(2 * (row + height) / rows, (column + around) / columns)
 
 
+def cells_of(towards):
+    """(...): the numbers of the cells of the sky that unit vectors (..., 3) point to.
+
+    There are SKY_CELLS, in rows from +x to -x, all of the same solid angle; in a row they go from
+    y to z and on.
+    """
+    rows, columns = SKY_CELLS
+    x, y, z = np.moveaxis(towards, -1, 0)
+    row = np.clip((1 - x) / 2 * rows, 0, rows - 1).astype(int)
+    around = np.arctan2(z, y) / (2 * np.pi) % 1
+    return row * columns + np.minimum(around * columns, columns - 1).astype(int)
+
+
 @cache
 def _cell_centers():
-    return _in_cells(np.arange(_SKY_CELLS[0] * _SKY_CELLS[1]), 0.5, 0.5)
+    return _in_cells(np.arange(SKY_CELLS[0] * SKY_CELLS[1]), 0.5, 0.5)
 
 
 def _over_directions(radiance, probe):

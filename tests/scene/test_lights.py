@@ -11,7 +11,15 @@ from mathutils import Euler
 from lb_lighting.errors import LightError
 from lb_lighting.scene.lights import scene_lights
 from lb_lighting.transport import Medium
-from lb_lighting.transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
+from lb_lighting.transport.lights import (
+    AreaLight,
+    PointLight,
+    Sky,
+    SpotLight,
+    Sun,
+    _even_directions,
+    bands_of,
+)
 
 
 def add_sun(collection=None, rotation=(0, 0, 0), **settings):
@@ -51,6 +59,16 @@ def add_environment(world, pixels):
     return node
 
 
+def add_mapping(environment, kind, rotation):
+    tree = environment.id_data
+    mapping, place = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
+    mapping.vector_type = kind
+    mapping.inputs["Rotation"].default_value = rotation
+    tree.links.new(place.outputs["Generated"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], environment.inputs["Vector"])
+    return mapping
+
+
 def add_white_ground():
     bpy.ops.mesh.primitive_plane_add(size=4)
     material = bpy.data.materials.new("white")
@@ -60,8 +78,25 @@ def add_white_ground():
     bpy.context.object.data.materials.append(material)
 
 
-def lights():
-    return scene_lights(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
+def lights(notes=None):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return scene_lights(bpy.context.scene, depsgraph, [] if notes is None else notes)
+
+
+def irradiance(found, normal):
+    """(3,) W/m^2 on a surface, from suns and from skies by 100 000 directions."""
+    total = np.zeros(3)
+    for light in found:
+        if isinstance(light, Sun):
+            total += np.multiply(light.irradiance, max(0, -np.dot(light.direction, normal)))
+        else:
+            towards = _even_directions(np.arange(100_000), 100_000)
+            weights = 4 * pi * np.maximum(towards @ normal, 0) / len(towards)
+            radiance = light.towards(towards)
+            if np.ndim(radiance) < 2 and callable(light.radiance):
+                radiance = radiance[:, None]
+            total += weights @ np.broadcast_to(radiance, (len(towards), 3))
+    return total
 
 
 class TestSuns:
@@ -312,13 +347,58 @@ class TestWorld:
         assert [type(light) for light in lights()] == [Sun, Sky]
         assert [light.spectrum for light in lights()] == [2, 0.5]
 
-    def test_environment_averages_over_solid_angle(self):
-        """Radiance 1 above 45 degrees of latitude: (1 - sin 45)/2 of the sphere."""
+    def test_an_environment_is_a_sky_by_direction(self):
+        """Radiance 1 above 45 degrees of latitude."""
         pixels = np.zeros((64, 8, 4))
         pixels[48:] = 1
         add_environment(add_world(), pixels)
         (sky,) = lights()
+        assert sky.towards((0, 0, 1)) == pytest.approx(1, rel=1e-2)
+        assert sky.towards((0.8, 0, 0.6)) == 0
+        assert irradiance([sky], (0, 0, 1)) == pytest.approx((pi / 2,) * 3, rel=5e-3)
+
+    @pytest.mark.parametrize(
+        ("kind", "rotation"),
+        [(None, None), ("POINT", (0, 0, 0.8)), ("POINT", (0.5, -0.9, 2.1)),
+         ("TEXTURE", (0.5, -0.9, 2.1)), ("VECTOR", (0, 0, -2.5))],
+    )  # fmt: skip
+    def test_an_environment_lights_as_in_cycles(self, kind, rotation, render):
+        """Tilted ground under a coloured sky with a small sun in it, however it is turned."""
+        add_white_ground()
+        bpy.context.object.rotation_euler = Euler((0.6, -0.5, 0))
+        normal = np.array(bpy.context.object.rotation_euler.to_matrix().col[2])
+        row, column = np.indices((64, 128))
+        pixels = np.ones((64, 128, 4))
+        pixels[..., :3] = np.stack((row / 64, column / 128, np.ones_like(row)), axis=-1)
+        pixels[40:42, 30:32, :3] = (2000, 1000, 500)
+        render()  # makes the camera and a world, which is replaced
+        world = add_world(strength=0.5)
+        environment = add_environment(world, pixels)
+        if kind:
+            add_mapping(environment, kind, rotation)
+        found = lights()
+        assert {type(light) for light in found} == {Sun, Sky}
+        bpy.context.scene.cycles.samples = 1024
+        assert render() * pi == pytest.approx(irradiance(found, normal), rel=2e-2)
+
+    def test_a_grey_environment_is_one_band(self):
+        pixels = np.ones((8, 16, 4)) * np.linspace(0, 1, 16)[:, None]
+        add_environment(add_world(strength=2.0), pixels)
+        (sky,) = lights()
+        assert bands_of(sky) == 1
+        add_environment(add_world((1, 1, 1)), pixels * (1, 0.5, 1, 1))
+        assert bands_of(lights()[0]) == 3
+
+    def test_an_environment_that_is_not_just_turned_counts_as_its_mean(self):
+        pixels = np.zeros((64, 8, 4))
+        pixels[48:] = 1
+        environment, notes = add_environment(add_world(), pixels), []
+        mapping = add_mapping(environment, "POINT", (0, 0, 1))
+        mapping.inputs["Scale"].default_value = (1, 1, 2)
+        (sky,) = lights(notes)
         assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
+        assert len(notes) == 1
+        assert "'world' counts as its mean colour" in notes[0]
 
     def test_missing_image_is_refused(self):
         world = add_world()
