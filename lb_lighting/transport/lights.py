@@ -49,7 +49,7 @@ _SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 # Of an area light: how many points stand for it at least and at most; and how many times the rays
 # of a point light they have together, for each alone leaves its own pattern.
-_FEWEST_POINTS, _MOST_POINTS, _RAYS_OF_AREA = 16, 2**12, 3
+_FEWEST_POINTS, _MOST_POINTS, _RAYS_OF_AREA = 16, 2**12, 2
 _NO_SLATS = np.pi / 2 - 1e-4  # rad, half the spread from which an area light has no grid
 
 
