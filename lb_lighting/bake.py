@@ -181,7 +181,8 @@ def gather(context, objects, options, path=None):
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
             if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
         }
-        lights = scene_lights(context.scene, depsgraph, reader.notes)
+        shining = any(source.shines for source in sources)
+        lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
     reader.notes.extend(
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
         "convert it to a mesh."

@@ -12,7 +12,7 @@ from . import exchange
 from .errors import SceneError
 from .options import Options
 from .output.ambient import ambient_grids
-from .output.vdb import unfinished, volume_light, write_vdb
+from .output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
 from .scene.sources import mixture, occluders, with_shadows
 from .transport import device
 from .transport.field import Report
@@ -22,6 +22,7 @@ from .transport.solver import require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
+_SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the solve begins, and when it ends.
 SOLVE, WRITE = 0.1, 0.9
 # Steps that an estimate tries, and the work of so many that dense media take until they settle: a
@@ -132,7 +133,8 @@ class Light:
         everything = [share for own in shares.values() for share in own]
         density, optics = self.reader.mixture(everything)
         occlusion, albedo = occluders(occlusions) if occlusions else (None, np.zeros(1))
-        bands = _bands(optics, self.lights, albedo)
+        emission = self._emission(domain)
+        bands = _bands(optics, self.lights, albedo, emission)
         volumes = [share for source, own in shares.items() for share in own if source.is_volume]
         medium = Medium(
             density,
@@ -140,11 +142,20 @@ class Light:
             *(np.broadcast_to(v, bands) for v in (optics.sigma_s, optics.sigma_a)),
             optics.g,
             domain.origin,
+            emission=None if emission is None else _SPHERE * emission[:bands],
             occlusion=occlusion,
             occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
         )
         shown = mixture(volumes) if volumes else (density, optics)
         return Problem(medium, shown, with_shadows(self.lights, everything))
+
+    def _emission(self, domain):
+        """(3, nx, ny, nz) W/(m^3 sr) that the sources shine with by themselves, or None."""
+        found = [e for source in self.sources if (e := source.emission(domain)) is not None]
+        if found and self.options.model == "paper":
+            self.reader.notes.append("The paper's model leaves out the light of fire.")
+            return None
+        return np.sum(found, axis=0) if np.any(found) else None
 
     def _domain(self):
         corners = np.concatenate([self.box] if self.box else [s.bounds for s in self.sources])
@@ -180,6 +191,8 @@ class Light:
     def _write(self, problem, field, occlusion):
         """Write the .vdb; the beams that it has grids of."""
         light, others, beams = volume_light(field, problem.lights, self.options.mode)
+        if problem.medium.emission is not None and self.options.mode == "REPLACE":
+            others[EMISSION_GRID] = problem.medium.emission / _SPHERE
         stamp = self._stamp(problem.medium, field.report)
         read = ambient_grids(field, occlusion) if self.readers else None
         write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
@@ -272,7 +285,9 @@ def duration(seconds):
     return f"{round(seconds / 60)} min"
 
 
-def _bands(optics, lights, albedo):
-    """3 where a coefficient, a light or an occluder has a colour, else 1."""
+def _bands(optics, lights, albedo, emission):
+    """3 where a coefficient, a light, an occluder or the emission has a colour, else 1."""
+    if emission is not None and np.ptp(emission, axis=0).any():
+        return 3
     values = [optics.sigma_s, optics.sigma_a, optics.g]
     return max(len(albedo), *map(np.size, values), *map(bands_of, lights))

@@ -6,7 +6,7 @@ import bpy
 from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, ambient_axis
 from .nodes import add_attribute, add_input, add_math, add_mix, add_node, add_output, add_vector
 from .ours import TAG, find_ours
-from .vdb import AXES, DENSITY_GRID, LIGHT_GRID, flux_grid
+from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
@@ -21,8 +21,9 @@ MEAN_COSINE = "Mean cosine of the scattering angle of red, green and blue: 1 is 
 def volume_group():
     """Absorption and emission of the baked volume.
 
-    Replace on:  absorption (sigma_s + sigma_a) density, emission sigma_s density (light + Direct)
-    Replace off: the same emission, for camera rays alone, and no absorption
+    Replace on:  absorption (sigma_s + sigma_a) density, emission sigma_s density (light + Direct),
+                 and what the medium shines with by itself
+    Replace off: the same emission but for the last, for camera rays alone, and no absorption
 
     The light is scattered towards the eye as if it came from all sides by the law of Henyey and
     Greenstein with the mean cosine that its net flux tells. Scattering keeps that law and
@@ -102,6 +103,9 @@ def _build_volume(tree):
     scattered = add_vector(tree, "MULTIPLY", sigma_s, beam.outputs["Radiance"], -400, -200)
     factor = add_math(tree, "MULTIPLY", glow, visible, -400, 0)
     emission = add_vector(tree, "SCALE", scattered, factor, -200, -100)
+    fire = add_attribute(tree, EMISSION_GRID, -600, -600).outputs["Vector"]
+    fire = add_vector(tree, "SCALE", fire, replace, -400, -600)
+    emission = add_vector(tree, "ADD", emission, fire, -200, -300)
 
     volume = add_node(tree, "ShaderNodeVolumeCoefficients", 0, 100)
     volume.inputs["Scatter Coefficients"].default_value = (0, 0, 0)

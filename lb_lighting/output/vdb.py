@@ -16,11 +16,13 @@ from ..transport.lights import PointLight, SpotLight, Sun
 LIGHT_GRID = "lb_light"
 AXES = ("X", "Y", "Z")
 DENSITY_GRID = "density"
+EMISSION_GRID = "lb_emission"  # W/(m^3 sr), what the medium shines with by itself
 CREATOR = "LB Lighting"
 STAMP = "lb_lighting:"  # keeps our metadata apart from OpenVDB's own keys (name, class, ...)
 
 # Cubic interpolation, the widest that Cycles has, reads two voxels away.
 MARGIN = 2
+BEAMS = Sun, PointLight, SpotLight  # lights whose unscattered light comes from one direction
 _SPHERE = np.float32(4 * np.pi)  # sr
 
 
@@ -40,7 +42,7 @@ def volume_light(field, lights, mode):
     if field.by_light is None:
         return (fluence + field.direct) / _SPHERE, {}, []
     if mode == "REPLACE":
-        of_beam = [isinstance(light, Sun | PointLight | SpotLight) for light in lights]
+        of_beam = np.array([isinstance(light, BEAMS) for light in lights], bool)
         beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
         unscattered = field.by_light[of_beam]
         # Rounding leaves less than nothing where beams are all there is.
@@ -139,7 +141,10 @@ def is_baked_file(path):
 
 def _grids(domain, density, colors):
     """All that `write_vdb` writes as OpenVDB grids, sparse where there is nothing to light."""
-    near = _near(np.asarray(density) > 0, MARGIN)[..., None].repeat(3, axis=-1)
+    seen = np.asarray(density) > 0
+    if EMISSION_GRID in colors:
+        seen |= colors[EMISSION_GRID].any(axis=0)
+    near = _near(seen, MARGIN)[..., None].repeat(3, axis=-1)
     grids = [_grid(DENSITY_GRID, domain, np.asarray(density, np.float32), 0)]
     grids[0].gridClass = openvdb.GridClass.FOG_VOLUME
     for name, values in colors.items():

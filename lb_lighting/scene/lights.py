@@ -13,18 +13,19 @@ from .shaders import Shader, linear_pixels, resolve
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
 
 
-def scene_lights(scene, depsgraph, notes):
+def scene_lights(scene, depsgraph, notes, needed=True):
     """[light]: every lamp that renders, instanced ones too, and the world. A point or spot of any
     radius counts as a point, a sun of any angle as one direction.
 
-    notes  list of sentences for the user, which what is read only in part is added to
+    notes   list of sentences for the user, which what is read only in part is added to
+    needed  whether there must be some, for nothing else shines
 
     A lamp counts where it is hidden in viewports only; of instances, those that viewports show.
 
     Raises LightError where nothing shines, or for a world or lamp whose nodes cannot be read.
     """
     lights = [*_lamps(depsgraph), *_skies(scene.world, notes)]
-    if not lights:
+    if needed and not lights:
         raise LightError("The scene has no light; add a lamp, or give the world a colour.")
     return lights
 

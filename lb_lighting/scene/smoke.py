@@ -27,7 +27,7 @@ def read_grid(ob, depsgraph, name):
     not simulate the grid.
     """
     evaluated, settings = _simulated(ob, depsgraph)
-    known = [n for n in SCALAR_GRIDS if len(getattr(settings, f"{n}_grid"))]
+    known = grid_names(ob, depsgraph)
     if name not in known:
         raise SceneError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(known)}.")
     values = _cells(getattr(settings, f"{name}_grid"), 1, settings.domain_resolution)[..., 0]
@@ -38,6 +38,12 @@ def read_grid(ob, depsgraph, name):
     to_object = np.diag([*cell, 1.0])
     to_object[:3, 3] = box.min(axis=0) + cell / 2
     return Cells(values, world_matrix(ob, depsgraph) @ to_object)
+
+
+def grid_names(ob, depsgraph):
+    """Those of SCALAR_GRIDS that are simulated."""
+    _evaluated, settings = _simulated(ob, depsgraph)
+    return [name for name in SCALAR_GRIDS if len(getattr(settings, f"{name}_grid"))]
 
 
 def burns(ob, depsgraph):

@@ -16,6 +16,7 @@ from ..errors import SceneError
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
+from .emission import shining, volume_glows
 from .materials import (
     grey,
     has_surface,
@@ -93,12 +94,20 @@ class Reader:
             self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
         return found[0]
 
-    def tell_emission(self, ob, materials):
-        """Add a note where `ob`, which a lit volume may replace, makes light itself."""
-        if any(map(volume_shines, materials)):
-            self.notes.append(
-                f"'{ob.name}' shines by itself; Replace leaves that out, Add keeps it."
-            )
+    def glows(self, ob, materials):
+        """[Glow | BlackBody] that the volumes of `materials` shine with.
+
+        None for those that cannot be read, with a note.
+        """
+        try:
+            return [glow for material in materials for glow in volume_glows(material)]
+        except SceneError as error:
+            if any(map(volume_shines, materials)):
+                self.notes.append(
+                    f"'{ob.name}' shines by itself, which does not light it, and Replace leaves "
+                    f"that out. {error}"
+                )
+            return []
 
     def mixture(self, shares):
         """`mixture` of `shares`, with a note where it is not exact."""
@@ -184,6 +193,7 @@ class _Source:
     is_foliage   whether it is surfaces that light passes between
     is_body      whether that light is what comes out of it, not what falls on it
     is_wall      whether it stops all light
+    glows        [Glow | BlackBody], see scene/emission.py
     """
 
     is_volume = False
@@ -191,6 +201,7 @@ class _Source:
     is_foliage = False
     is_body = False
     is_wall = False
+    glows = ()
 
     def __init__(self, ob, reader):
         self.name, self.reader = ob.name, reader
@@ -205,6 +216,14 @@ class _Source:
         there, and the share of that which goes back; or None."""
         return None
 
+    def emission(self, domain):
+        """(3, nx, ny, nz) W/(m^3 sr) that it shines with by itself, or None."""
+        return None
+
+    @property
+    def shines(self):
+        return bool(self.glows)
+
 
 class _GridSource(_Source):
     """A density grid that a volume material, or the preset for a cloud, shows."""
@@ -215,7 +234,12 @@ class _GridSource(_Source):
     def __init__(self, ob, reader, material):
         super().__init__(ob, reader)
         self.material = reader.volume_optics(ob, [material], self.preset)
-        reader.tell_emission(ob, [material])
+        self.glows = reader.glows(ob, [material])
+
+    @property
+    def glowing_grids(self):
+        """{str}, the names of the grids that it shines by."""
+        return {name for glow in self.glows for name in glow.grids}
 
     @property
     def grid_name(self):
@@ -238,6 +262,11 @@ class VolumeSource(_GridSource):
         self.grid = volumes.find_grid(ob, reader.depsgraph, self.grid_name)
         self.matrix = volumes.world_matrix(ob, reader.depsgraph)
         self.is_in_object_space = volumes.is_in_object_space(ob, reader.depsgraph)
+        known = self.glowing_grids and volumes.grid_names(ob, reader.depsgraph)
+        self.fire = {
+            name: volumes.find_grid(ob, reader.depsgraph, name)
+            for name in self.glowing_grids.intersection(known)
+        }
 
     @property
     def bounds(self):
@@ -245,9 +274,26 @@ class VolumeSource(_GridSource):
 
     def shares(self, domain):
         density = volumes.resample(self.grid.vdb, self.matrix, domain)
-        if self.material and self.is_in_object_space:
-            density /= np.linalg.norm(self.matrix[:3, :3].sum(axis=1)) / np.sqrt(3)
+        if self.material:
+            density /= self._metre
         return [self.share(density, domain)]
+
+    def emission(self, domain):
+        if not self.glows:
+            return None
+        cells = {
+            name: volumes.near_cells(grid.vdb, self.matrix, domain)
+            for name, grid in self.fire.items()
+        }
+        inside = volumes.near_cells(self.grid.vdb, self.matrix, domain)
+        return shining(self.glows, cells, inside, domain) / self._metre
+
+    @property
+    def _metre(self):
+        """How many of the lengths that the material's coefficients are per."""
+        if not self.is_in_object_space:
+            return 1.0
+        return np.float32(np.linalg.norm(self.matrix[:3, :3].sum(axis=1)) / np.sqrt(3))
 
 
 class SmokeSource(_GridSource):
@@ -259,14 +305,24 @@ class SmokeSource(_GridSource):
         self.cells = smoke.read_grid(ob, reader.depsgraph, self.grid_name)
         # Nor does the preset know the colour of the smoke.
         self.hue = None if self.material else smoke.hue(ob, reader.depsgraph)
-        if smoke.burns(ob, reader.depsgraph):
-            reader.notes.append(f"The fire of '{ob.name}' does not light its smoke.")
+        known = smoke.grid_names(ob, reader.depsgraph)
+        self.fire = {
+            name: smoke.read_grid(ob, reader.depsgraph, name)
+            for name in self.glowing_grids.intersection(known)
+        }
+        if smoke.burns(ob, reader.depsgraph) and not self.glows:
+            reader.notes.append(
+                f"The fire of '{ob.name}' does not shine; give its material a Blackbody Intensity."
+            )
 
     def shares(self, domain):
         share = self.share(self.cells.on(domain), domain)
         if self.hue is not None:
             share = Share(share.density, tinted(share.optics, self.hue))
         return [share]
+
+    def emission(self, domain):
+        return shining(self.glows, self.fire, self.cells, domain) if self.glows else None
 
 
 class _SurfaceSource(_Source):
@@ -338,8 +394,7 @@ class SolidSource(_SurfaceSource):
         self.shows_light = any(map(has_surface, materials))
         super().__init__(ob, parts, reader)
         self.material = reader.volume_optics(ob, materials, self.preset)
-        if self.is_volume:
-            reader.tell_emission(ob, materials)
+        self.glows = reader.glows(ob, materials)
 
     @property
     def is_volume(self):
@@ -350,6 +405,13 @@ class SolidSource(_SurfaceSource):
         if self.material is None:
             return [Share(fraction, self.reader.preset(self.preset, _longest(domain)))]
         return [Share(fraction, self.material.optics)]
+
+    def emission(self, domain):
+        if not self.glows:
+            return None
+        radiance = sum(glow.radiance({}) for glow in self.glows if not glow.grids)
+        fraction = voxelize.solid_fraction(self.triangles, domain)
+        return np.multiply.outer(radiance * np.ones(3), fraction)
 
 
 class OccluderSource(_SurfaceSource):

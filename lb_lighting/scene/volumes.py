@@ -44,6 +44,14 @@ class Cells:
         """(nx, ny, nz) float32: averaged over the voxels of `domain`."""
         return resample_array(self.values, self.index_to_world, domain)
 
+    def at(self, other):
+        """The values at the voxel centres of other `Cells`, in their shape."""
+        if other is self:
+            return self.values
+        to_own = np.linalg.inv(self.index_to_world) @ other.index_to_world
+        places = _positions(to_own, (0, 0, 0), other.values.shape)
+        return _trilinear(np.pad(self.values, 1), places + 1)
+
 
 def grid_names(ob, depsgraph):
     """Names of the grids that the original object `ob` shows at the current frame."""
@@ -116,6 +124,18 @@ def resample(grid, matrix_world, domain):
     matrix_world  (4, 4), of the object that shows the grid
     Raises SceneError for values that are negative or not finite.
     """
+    cells = near_cells(grid, matrix_world, domain)
+    if cells.values.ndim == 3:
+        return cells.on(domain)
+    bands = np.moveaxis(cells.values, -1, 0)
+    return np.stack([resample_array(band, cells.index_to_world, domain) for band in bands])
+
+
+def near_cells(grid, matrix_world, domain):
+    """The `Cells` of `grid`, a vector's with the channels last, that are seen from `domain`.
+
+    Raises SceneError for values that are negative or not finite.
+    """
     matrix = np.asarray(matrix_world) @ _index_to_object(grid)
     to_grid = np.linalg.inv(matrix) @ domain.index_to_world
     lower, upper = box_bounds((-0.5,) * 3, np.subtract(domain.shape, 0.5), to_grid)
@@ -128,10 +148,7 @@ def resample(grid, matrix_world, domain):
     if values.size:
         grid.copyToArray(values, tuple(map(int, lower)))
     _refuse_bad_voxels(values, grid.name)
-    matrix = matrix @ _translation(lower)
-    if not channels:
-        return resample_array(values, matrix, domain)
-    return np.stack([resample_array(values[..., i], matrix, domain) for i in range(3)])
+    return Cells(values, matrix @ _translation(lower))
 
 
 def resample_array(values, index_to_world, domain):
