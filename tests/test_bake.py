@@ -137,6 +137,29 @@ class TestVolume:
         assert {node.label for node in nodes if node.label} == {"lb_direct_1", "lb_direct_2"}
         assert not outcome.notes or "not read" not in " ".join(outcome.notes)
 
+    def test_own_light_needs_no_lamp(self, scene, tmp_path):
+        bpy.data.objects.remove(bpy.data.objects["sun"])
+        ob = scenery.add_fog(tmp_path)
+        inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
+        inputs["Emission Strength"].default_value = 3
+        inputs["Emission Color"].default_value = (1, 0.5, 0, 1)
+        outcome = bake_light(ob)
+        shone, _first = read_grid(outcome.path, "lb_emission")
+        assert shone.max(axis=(0, 1, 2)) == pytest.approx((3, 1.5, 0), rel=1e-5)
+        entered = outcome.field.report.energy["entered"]
+        radiated = 4 * np.pi * shone.sum(axis=(0, 1, 2)) * outcome.field.domain.voxel_size**3
+        assert entered == pytest.approx(radiated, rel=1e-4)
+        with pytest.raises(KeyError, match="lb_emission"):  # there Cycles shows it
+            read_grid(bake_light(ob, mode="ADD").path, "lb_emission")
+
+    def test_the_papers_model_has_no_fire(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
+        inputs["Emission Strength"].default_value = 3
+        assert (
+            "The paper's model leaves out the light of fire." in bake_light(ob, model="paper").notes
+        )
+
     def test_coefficients_per_unit_of_object_space(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
         world = bake_light(ob).field

@@ -90,12 +90,33 @@ def test_fire(lb, tmp_path):
     center = center_of_mass(flame, domain.centers())
     assert np.abs(center - SOURCE)[:2].max() < domain.voxel_size
     told = share(lb, ob, domain, "cloud")[1]
-    assert told == ["The fire of 'Cube' does not light its smoke."]
+    told_of_fire = "The fire of 'Cube' does not shine; give its material a Blackbody Intensity."
+    assert told == [told_of_fire]
     with pytest.raises(
         part(lb, "errors").SceneError,
         match=r"no grid 'smoke'; choose one of: density, flame, temperature\.$",
     ):
         read(lb, ob, domain, "smoke")
+
+
+def test_fire_shines_by_its_temperature(lb, tmp_path):
+    """As bright as Stefan's and Boltzmann's law, in Cycles' scale, says of each cell."""
+    ob = smoke(tmp_path, flow_type="BOTH")
+    ob.data.materials.append(volume_material(density=2.0))
+    inputs = ob.data.materials[0].node_tree.nodes["Principled Volume"].inputs
+    inputs["Blackbody Intensity"].default_value = 1
+    sources = part(lb, "scene.sources")
+    reader = sources.Reader(bpy.context.evaluated_depsgraph_get(), "MATERIAL", 30.0, "")
+    (source,) = sources.open_sources([ob], reader)
+    assert reader.notes == []
+    domain = lattice(lb, ob)
+    emission = source.emission(domain)
+    kelvin = 1000.0 * source.fire["temperature"].values.astype(float)
+    assert kelvin.max() > 1500
+    luminance = np.tensordot((0.2126, 0.7152, 0.0722), emission, axes=1)
+    cells = source.fire["temperature"].index_to_world
+    expected = (5.670373e-14 / np.pi * kelvin**4).sum() * abs(np.linalg.det(cells[:3, :3]))
+    assert luminance.sum() * domain.voxel_size**3 == pytest.approx(expected, rel=0.03)
 
 
 def test_not_simulated_yet(lb, tmp_path):

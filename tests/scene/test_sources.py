@@ -169,13 +169,35 @@ class TestVolumes:
         assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
 
     @pytest.mark.parametrize("medium", [FROM_MATERIAL, "cloud"])
-    def test_own_light_is_told(self, tmp_path, medium):
+    def test_own_light(self, tmp_path, medium):
         ob = scenery.add_fog(tmp_path)
-        assert read(ob, medium=medium)[1] == []
+        ((source,), notes) = read(ob, medium=medium)
+        assert source.emission(DOMAIN) is None
         principled = ob.active_material.node_tree.nodes["Principled Volume"]
-        principled.inputs["Emission Strength"].default_value = 1
-        told = "'fog' shines by itself; Replace leaves that out, Add keeps it."
-        assert read(ob, medium=medium)[1] == [told]
+        principled.inputs["Emission Strength"].default_value = 2
+        ((source,), notes) = read(ob, medium=medium)
+        assert notes == []
+        assert source.emission(DOMAIN)[:, 10, 10, 10] == pytest.approx((2, 2, 2))
+        assert not source.emission(DOMAIN)[:, 0].any()
+
+    def test_own_light_that_cannot_be_read_is_told(self, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        tree = ob.active_material.node_tree
+        noise = tree.nodes.new("ShaderNodeTexNoise")
+        strength = tree.nodes["Principled Volume"].inputs["Emission Strength"]
+        tree.links.new(noise.outputs[0], strength)
+        ((source,), notes) = read(ob)
+        assert source.emission(DOMAIN) is None
+        assert len(notes) == 1
+        assert "'fog' shines by itself, which does not light it" in notes[0]
+
+    def test_own_light_in_object_space(self, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        ob.scale, ob.data.render.space = (2, 2, 2), "OBJECT"
+        principled = ob.active_material.node_tree.nodes["Principled Volume"]
+        principled.inputs["Emission Strength"].default_value = 2
+        ((source,), _) = read(ob)
+        assert source.emission(DOMAIN)[:, 10, 10, 10] == pytest.approx((1, 1, 1))
 
     def test_one_that_is_scaled_to_nothing_is_refused(self, tmp_path):
         ob = scenery.add_fog(tmp_path)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What volumes shine with by themselves; output/test_light_levels.py has Cycles' word on it."""
+
+import bpy
+import numpy as np
+import pytest
+
+from lb_lighting.errors import SceneError
+from lb_lighting.scene.emission import BlackBody, Glow, shining, volume_glows
+from lb_lighting.scene.volumes import Cells
+from lb_lighting.transport.medium import Domain
+from tests import scenery
+
+LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
+DOMAIN = Domain((0, 0, 0), 0.5, (6, 6, 6))
+RNG = np.random.default_rng(1)
+
+
+def principled(**inputs):
+    """A material; a text stands for the attribute of that name, a pair for one times a number."""
+    material = scenery.volume_material()
+    tree = material.node_tree
+    sockets = tree.nodes["Principled Volume"].inputs
+    for name, value in inputs.items():
+        socket = sockets[name.replace("_", " ")]
+        if isinstance(value, str) and socket.type != "STRING":
+            attribute = tree.nodes.new("ShaderNodeAttribute")
+            attribute.attribute_name = value
+            tree.links.new(attribute.outputs["Factor"], socket)
+        else:
+            socket.default_value = value
+    return material
+
+
+def cells(values):
+    """Three cells of 1 m along each edge, in the middle of the domain's 3 m."""
+    to_world = np.eye(4)
+    to_world[:3, 3] = 0.5
+    return Cells(np.asarray(values, np.float32), to_world)
+
+
+def black(**inputs):
+    (found,) = volume_glows(principled(Blackbody_Intensity=1.0, **inputs))
+    return found
+
+
+def test_none():
+    assert volume_glows(None) == []
+    assert volume_glows(principled()) == []
+    assert volume_glows(principled(Emission_Strength=1.0, Emission_Color=(0, 0, 0, 1))) == []
+
+
+def test_strength_times_color():
+    (found,) = volume_glows(principled(Emission_Strength=2.0, Emission_Color=(1, 0.5, 0.25, 1)))
+    assert found.color == pytest.approx((2, 1, 0.5))
+    assert found.grids == []
+
+
+def test_attribute():
+    (found,) = volume_glows(principled(Emission_Strength="flame", Emission_Color=(1, 0.5, 0, 1)))
+    assert found == Glow((1, 0.5, 0), "flame")
+
+
+@pytest.mark.parametrize("name", ["Emission Coefficients", "Emission"])
+def test_other_nodes(name):
+    material = scenery.volume_material()
+    nodes = material.node_tree.nodes
+    nodes.remove(nodes["Principled Volume"])
+    if name == "Emission":
+        node = nodes.new("ShaderNodeEmission")
+        node.inputs["Color"].default_value = (0.5, 1, 0, 1)
+        node.inputs["Strength"].default_value = 4
+    else:
+        node = nodes.new("ShaderNodeVolumeCoefficients")
+        node.inputs[name].default_value = (2, 4, 0)
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    material.node_tree.links.new(node.outputs[0], output.inputs["Volume"])
+    assert volume_glows(material) == [Glow((2, 4, 0))]
+
+
+@pytest.mark.parametrize("kelvin", [1200, 2000, 6500])
+def test_a_black_body_is_as_bright_as_its_law_says(kelvin):
+    """Cycles has a millionth of Stefan's and Boltzmann's radiance in a metre."""
+    radiance = black().radiance({"temperature": np.array(kelvin / 1000)})
+    assert LUMINANCE @ radiance == pytest.approx(5.670373e-14 / np.pi * kelvin**4, rel=1e-2)
+    assert np.all(np.diff(radiance) < 0) == (kelvin < 6500)
+
+
+def test_a_black_bodys_settings():
+    assert black(Temperature=2000.0).temperature == 2000
+    assert black(Temperature_Attribute="heat").grids == ["heat"]
+    (found,) = volume_glows(principled(Blackbody_Intensity="flame"))
+    assert isinstance(found, BlackBody)
+    assert set(found.grids) == {"flame", "temperature"}
+    full, none = (found.radiance({"flame": np.array(f), "temperature": 2.0}) for f in (1.0, 0.0))
+    assert full.max() > 0
+    assert not none.any()
+    with pytest.raises(SceneError, match="multiplies the temperatures"):
+        volume_glows(principled(Blackbody_Intensity=1.0, Temperature="heat"))
+
+
+def test_reading_leaves_nothing_behind():
+    before = len(bpy.data.lights)
+    black()
+    assert len(bpy.data.lights) == before
+
+
+def test_power_is_kept_on_the_way_to_the_lattice():
+    """Of what each cell shines with, not of its mean temperature."""
+    heat = cells(RNG.random((3, 3, 3)) * [[[0]], [[1]], [[0]]] * 3)
+    domain = Domain((-1, -1, -1), 0.5, (10, 10, 10))
+    found = shining([black()], {"temperature": heat}, heat, domain)
+    expected = black().radiance({"temperature": heat.values}).sum(axis=(0, 1, 2))
+    assert found.sum(axis=(1, 2, 3)) * 0.5**3 == pytest.approx(expected, rel=1e-5)
+
+
+def test_grids_of_other_sizes_are_taken_where_they_are():
+    flame = cells(np.ones((3, 3, 3)))
+    heat = Cells(np.full((6, 6, 6), 1.5, np.float32), DOMAIN.index_to_world)
+    (found,) = volume_glows(principled(Blackbody_Intensity="flame"))
+    both = shining([found], {"flame": flame, "temperature": heat}, flame, DOMAIN)
+    expected = found.radiance({"flame": np.ones(()), "temperature": 1.5})
+    assert both[:, 2, 3, 2] == pytest.approx(expected, rel=1e-5)
+
+
+def test_grids_that_are_not_there():
+    """A flame is none then, and a temperature that which the node says."""
+    inside = cells(np.ones((3, 3, 3)))
+    assert not shining([Glow((1, 1, 1), "flame")], {}, inside, DOMAIN).any()
+    found = shining([black(Temperature=1500.0)], {}, inside, DOMAIN)
+    assert LUMINANCE @ found[:, 2, 2, 2] == pytest.approx(5.670373e-14 / np.pi * 1500**4, rel=1e-2)
