@@ -80,15 +80,15 @@ def disk_with_slats():
 
 
 def even_world():
-    world(np.ones((4, 8, 3)) * (0.4, 0.6, 1))
+    world(np.ones((4, 8, 3)) * 0.6)
 
 
 def panorama():
     """Dark ground, a sky that brightens to one side, a sun in it; turned by a Mapping."""
     row, column = np.mgrid[:64, :128] / 64
     sky = (row > 0.5) * (1 + 0.5 * np.sin(np.pi * column)) + 0.05
-    pixels = sky[..., None] * (0.6, 0.8, 1)
-    pixels[46:48, 20:22] = (900, 800, 600)
+    pixels = sky[..., None].repeat(3, axis=2)
+    pixels[46:48, 20:22] = 800
     add_mapping(world(pixels), "POINT", (0, 0, 2.0))
 
 
