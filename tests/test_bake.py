@@ -646,7 +646,7 @@ class TestBadInput:
 
     def test_no_light(self, scene, tmp_path):
         bpy.data.lights["sun"].energy = 0
-        self.refused(fog(tmp_path), LightError, "The scene has no light; add a sun")
+        self.refused(fog(tmp_path), LightError, "The scene has no light; add a lamp")
 
     def test_resolution_of_nothing(self, scene, tmp_path):
         sentence = "A resolution of 0 voxels is too low; use 7 or more."

@@ -197,7 +197,7 @@ def test_an_area_light_is_as_bright_as_the_angle_that_it_fills(size, height, all
     seen = np.where(points[..., 2] < 0, angle_filled(points, size / 2, size / 4), 0)
     expected = seen.mean(axis=-1)
     assert np.linalg.norm(found.direct - expected) < allowed * np.linalg.norm(expected)
-    assert found.direct.sum() == pytest.approx(expected.sum(), rel=1e-2)
+    assert found.direct.sum() == pytest.approx(expected.sum(), rel=3e-2)
     assert not found.direct[expected == 0].any()
     assert np.all(found.flux[2] <= 0)
 

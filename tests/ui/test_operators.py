@@ -274,7 +274,7 @@ BAD = {
     spoil_a_voxel: "The grid 'density' has 1 voxels that are negative or not finite; ",
     ask_for_no_voxels: "A resolution of 0 voxels is too low; use 7 or more.",
     ask_for_too_many_voxels: "the largest resolution that fits is ",
-    switch_off_the_sun: "The scene has no light; add a sun",
+    switch_off_the_sun: "The scene has no light; add a lamp",
     write_nowhere: "nowhere does not exist; choose another or make it.",
     ask_for_an_abacus: "There is no device called 'abacus'; choose one of: ",
 }
