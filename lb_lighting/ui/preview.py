@@ -79,7 +79,6 @@ class LB_OT_preview_stop(bpy.types.Operator):  # noqa: N801 - Blender's conventi
 
 class LB_PT_preview(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Free-Path Preview"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw_settings(self, _context, column, _settings):
         if _job is None:

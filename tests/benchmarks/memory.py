@@ -15,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lb_lighting.transport import PRESETS, Medium, Settings, Sun, device, solve
+from lb_lighting.transport import PRESETS, Medium, PointLight, Settings, Sun, device, solve
 from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 
 EDGES = (96, 160)  # voxels
 PHYSICAL = "physical"  # stands for a kernel: that of the physical model
+SUN = Sun((0.3, 0.2, -0.93), 1.0)
+LAMP = PointLight((-20, 3, 5), 1e5)  # its rays take more memory than a sun's layers
 _ROOT = Path(__file__).parents[2]
 
 
@@ -34,20 +36,20 @@ def plan_and_peak(wanted, kernel, edge):
 def measure(wanted, kernel, edge):
     """The same for this process."""
     if kernel == PHYSICAL:
-        settings = Settings(most_steps=2, divide=1)
+        settings, light = Settings(most_steps=2, divide=1), LAMP
     else:
-        settings = Settings("paper", steps=2, kernel=kernel)
-    _solve(8, settings, wanted)
+        settings, light = Settings("paper", steps=2, kernel=kernel), SUN
+    _solve(8, settings, light, wanted)
     before = _peak_memory()
-    field = _solve(edge, settings, wanted)
+    field = _solve(edge, settings, light, wanted)
     return field.report.bytes, _peak_memory() - before
 
 
-def _solve(edge, settings, wanted):
+def _solve(edge, settings, light, wanted):
     density = np.full((edge,) * 3, 0.5, np.float32)
     plant = PRESETS["plant"]
     medium = Medium(density, 1.0, plant.sigma_s, plant.sigma_a, plant.g)
-    return solve(medium, [Sun((0.3, 0.2, -0.93), 1.0)], settings, wanted)
+    return solve(medium, [light], settings, wanted)
 
 
 def _peak_memory():

@@ -31,6 +31,7 @@ UNIT = 20  # pixels, of a button at the scale of 1
 TICK = 0.01  # s, of the timer that finds gaps
 
 running = importlib.import_module(f"{EXTENSION}.lb_lighting.ui.running")
+preview = importlib.import_module(f"{EXTENSION}.lb_lighting.ui.preview")
 volume = importlib.import_module(f"{EXTENSION}.lb_lighting.output.volume")
 gaps = {}
 
@@ -197,6 +198,22 @@ def picture_of_a_running_bake():
     take_picture("running")
     running.stop("The bake was cancelled; nothing was changed")
     yield REDRAW
+
+
+def previewed():
+    """A picture that refines, a histogram and advice; a change ends it, and nothing is kept."""
+    cloud, folder = build(resolution=64)
+    with overridden():
+        assert bpy.ops.lb_lighting.preview() == {"FINISHED"}
+    yield from until(lambda: preview._survey is not None or preview._failed)
+    assert not preview._failed, preview._failed
+    yield REDRAW
+    take_picture("preview")
+    pid = preview._job._process.pid
+    cloud.location.x = 0.1
+    yield from until(lambda: preview._job is None, 10)
+    assert not is_alive(pid)
+    nothing_changed(folder)
 
 
 def cancelled(how):
@@ -403,6 +420,7 @@ SCENARIOS = [
     open_tab,
     by_clicks,
     picture_of_a_running_bake,
+    previewed,
     cancelled(by_escape),
     cancelled(by_button),
     undone_and_redone,
