@@ -22,7 +22,8 @@ from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
-from .tasks import FIELD, Estimate, Light, Lit
+from .tasks.estimate import Estimate
+from .tasks.light import FIELD, Light, Lit
 from .transport.medium import Optics
 
 __all__ = [

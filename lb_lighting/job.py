@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from . import errors, exchange
-from .tasks import Devices
+from .tasks.devices import Devices
 from .worker import RESULT, TASK, remove_scraps
 
 PATIENCE = 600.0  # s of silence, after which the worker is taken to hang
@@ -43,7 +43,8 @@ class Job:
                 f"({error.strerror}); free some space there."
             ) from error
         self._process = subprocess.Popen(
-            [sys.executable, "-m", f"{_PACKAGE.name}.worker", self.folder.name],
+            # Without the folder that Blender was started in, where anything may lie.
+            [sys.executable, "-P", "-m", f"{_PACKAGE.name}.worker", self.folder.name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._chatter,
@@ -145,9 +146,10 @@ class Job:
 
 def wait(job, progress=None):
     """Wait until `job` is done; see `Job.wait`."""
-    told = None
+    told, done = None, False
     try:
-        while not job.update(wait=0.5):
+        while not done:
+            done = job.update(wait=0.5)
             if progress is not None and job.status != told:
                 told = job.status
                 progress(*told)

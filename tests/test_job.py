@@ -81,6 +81,7 @@ def test_physical_light_crosses_too():
 
 
 def test_starts_from_any_folder(tmp_path, monkeypatch, medium):
+    (tmp_path / "lb_lighting.py").write_text("raise ImportError('not ours')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONPATH", raising=False)
     task = Solve(medium, [SUN], Settings("paper", steps=1), "NumPy")

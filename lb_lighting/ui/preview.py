@@ -13,7 +13,7 @@ from bpy.props import BoolProperty
 from .. import bake, exchange
 from ..errors import LightingError
 from ..job import Job
-from ..preview import PICTURE, SURVEY, Preview
+from ..tasks.preview import PICTURE, SURVEY, Preview
 from ..transport.preview import View
 from . import running
 from .panels import SubPanel, draw_text

@@ -4,7 +4,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..tasks import duration
+from ..tasks.estimate import duration
 
 INTERVAL = 0.1  # s between looks at the solver
 

@@ -5,9 +5,9 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import preview as task
 from lb_lighting.bake import Options, gather
 from lb_lighting.job import Job
+from lb_lighting.tasks import preview as task
 from lb_lighting.ui import preview
 from tests import scenery
 from tests.scenery import snapshot

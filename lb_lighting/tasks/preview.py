@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The task behind the preview: pictures of a scene's medium by free paths, and what they tell.
-
-Needs no Blender.
-"""
+"""Looking at a scene's medium by free paths: pictures, and what the paths tell."""
 
 import os
 from dataclasses import dataclass
 
 import numpy as np
 
-from . import exchange
-from .tasks import Light
-from .transport.perlin import PerlinMedium
-from .transport.preview import View, pictures
-from .transport.survey import advice, histogram_picture, statistics
+from .. import exchange
+from ..transport.perlin import PerlinMedium
+from ..transport.preview import View, pictures
+from ..transport.survey import advice, histogram_picture, statistics
+from .light import Light
 
 PICTURE, SURVEY = "picture", "survey"  # files in the task's folder
 SAMPLES = 64.0  # of a pixel, after which a picture is good enough
