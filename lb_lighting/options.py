@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the user chooses; the scene's properties and the command line carry the same names."""
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from .transport.medium import PRESETS, optics_by_band
 from .transport.solver import MODELS, Settings
 
 MODES = ("REPLACE", "ADD")
+SHOWN = {"strength", "device", "folder"}
 FOLIAGE = ("ATTRIBUTE", "MODIFIER")  # how it gets its light
 
 
@@ -63,6 +64,11 @@ class Options:
     def settings(self):
         """The solver's `Settings`."""
         return Settings(model=self.model, handover=self.handover, keep_absorbed=self.keep_absorbed)
+
+    @property
+    def essence(self):
+        """All that a result depends on, as text: not how it is shown, or where it is made."""
+        return repr({name: value for name, value in asdict(self).items() if name not in SHOWN})
 
     @classmethod
     def of(cls, scene, **changes):

@@ -2,16 +2,13 @@
 """Frames of an animation, baked one after the other into a .vdb sequence."""
 
 import contextlib
-from dataclasses import asdict
 from pathlib import Path
 
 from .bake import Baking, folder_of, sources_of
 from .errors import OutputError, SceneError
 from .output import volume
 from .output.vdb import read_metadata
-
-# Options that change how light is shown or found, not what it is.
-SHOWN = {"strength", "device", "folder"}
+from .tasks.light import ESSENCE
 
 MOVING = "Lamps move; each frame has its own light, but the shader has them as in the first frame."
 
@@ -39,7 +36,8 @@ class Sequence:
         self.total = len(self.missing)
         if not self.missing:
             raise SceneError(
-                f"The frames {first} to {last} are all baked; choose Overwrite to bake them again."
+                f"The frames {first} to {last} are all baked; choose Overwrite Frames to bake them "
+                "again."
             )
         self.notes = {}  # in order, each once
         self.ways = None
@@ -128,9 +126,5 @@ def _way(beam):
 
 def _is_alike(folder, options):
     """Whether the frames in `folder` were baked with the same options."""
-    wanted = {name: value for name, value in asdict(options).items() if name not in SHOWN}
-    for path in Path(folder).glob("frame_*.vdb"):
-        stamp = read_metadata(path)
-        if any(stamp.get(name, value) != value for name, value in wanted.items()):
-            return False
-    return True
+    stamps = map(read_metadata, Path(folder).glob("frame_*.vdb"))
+    return all(stamp.get(ESSENCE) == options.essence for stamp in stamps)

@@ -91,6 +91,18 @@ def test_options_of_the_command_come_before_the_scenes(blend):
     assert bpy.context.scene.lb_lighting.resolution == 16
 
 
+def test_frames(blend):
+    arguments = ["bake", str(blend), "--objects", "fog", "--frames", "2-3"]
+    assert cli.main(arguments, opens_file=True) == 0
+    reopen(blend)
+    (ob,) = baked_volumes(bpy.context.scene)
+    assert (ob.data.is_sequence, ob.data.frame_start, ob.data.frame_duration) == (True, 2, 2)
+    folder = Path(bpy.path.abspath(ob.data.filepath)).parent
+    assert sorted(path.name for path in folder.iterdir()) == ["frame_0002.vdb", "frame_0003.vdb"]
+    assert cli.main(arguments, opens_file=True) == 1
+    assert cli.main([*arguments, "--overwrite"], opens_file=True) == 0
+
+
 def test_frame(blend):
     ob = bpy.data.objects["fog"]
     for frame, x in ((1, 0), (11, 10)):

@@ -91,7 +91,7 @@ def test_an_ended_bake_goes_on_where_it_was(scene, fog, processes):
 def test_what_is_baked_is_kept_unless_asked(scene, fog):
     bake_frames(fog)
     before, folder = frames(), baked_path(baked()).parent
-    with pytest.raises(SceneError, match="frames 1 to 3 are all baked; choose Overwrite to bake"):
+    with pytest.raises(SceneError, match="1 to 3 are all baked; choose Overwrite Frames to bake"):
         bake_frames(fog)
     assert frames() == before
     bake_frames(fog, overwrite=True)

@@ -18,6 +18,7 @@ from ..transport.solver import require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
+ESSENCE = "essence"  # of the options, in the file's metadata
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the solve begins, and when it ends.
 SOLVE, WRITE = 0.1, 0.9
@@ -190,7 +191,7 @@ class Light:
             name: " ".join(f"{value:g}" for value in getattr(medium, name))
             for name in ("sigma_s", "sigma_a", "g")
         }
-        spent = {"seconds": sum(report.seconds.values())}
+        spent = {"seconds": sum(report.seconds.values()), ESSENCE: self.options.essence}
         return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
 
 

@@ -127,14 +127,10 @@ sequence of files. Frames that are there are kept"""
     bl_label = "Bake LB Light Animation"
     bl_options = {"REGISTER", "UNDO"}
 
-    overwrite: BoolProperty(
-        name="Overwrite", description="Bake the frames anew that are baked already"
-    )
-
     def begin(self, context):
         scene, options = context.scene, bake.Options.of(context.scene)
-        frames = scene.frame_start, scene.frame_end
-        return Sequence(context, context.selected_objects, options, *frames, self.overwrite)
+        frames, overwrite = (scene.frame_start, scene.frame_end), scene.lb_lighting.overwrite
+        return Sequence(context, context.selected_objects, options, *frames, overwrite)
 
 
 class LB_OT_estimate(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention

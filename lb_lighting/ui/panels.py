@@ -122,6 +122,7 @@ class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
         column.prop(settings, "foliage")
         column.prop(settings, "strength")
         column.prop(settings, "folder", placeholder="The .blend's")
+        column.prop(settings, "overwrite")
 
 
 def draw_text(layout, text):

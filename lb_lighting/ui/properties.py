@@ -161,6 +161,10 @@ class SceneProperties(bpy.types.PropertyGroup):
         search=_search_devices,
         search_options={"SUGGESTION"},
     )
+    overwrite: BoolProperty(
+        name="Overwrite Frames",
+        description="Animation bakes the frames anew that are baked already, in another folder",
+    )
     folder: StringProperty(
         name="Folder",
         description="Where the .vdb is written; empty for the folder of the .blend, or the "

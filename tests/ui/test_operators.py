@@ -10,7 +10,7 @@ import pytest
 
 from lb_lighting import job
 from lb_lighting.options import FOLIAGE, MODES, Options
-from lb_lighting.output.volume import baked_volumes
+from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.scene.sources import CUSTOM, FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS
 from lb_lighting.transport.solver import MODELS
@@ -130,6 +130,23 @@ class TestBake:
         assert snapshot() == before
         bpy.ops.ed.redo()
         assert snapshot() == lit
+
+
+class TestAnimation:
+    def test_bakes_the_range_of_the_scene(self, scene, tmp_path, capfd):
+        scenery.select(scenery.add_fog(tmp_path))
+        scene.frame_start, scene.frame_end = 3, 4
+        assert bpy.ops.lb_lighting.bake_animation() == {"FINISHED"}
+        (ob,) = baked_volumes(scene)
+        folder = baked_path(ob).parent
+        assert sorted(path.name for path in folder.iterdir()) == [
+            "frame_0003.vdb", "frame_0004.vdb"
+        ]  # fmt: skip
+        with pytest.raises(RuntimeError, match="The frames 3 to 4 are all baked"):
+            bpy.ops.lb_lighting.bake_animation()
+        scene.lb_lighting.overwrite = True
+        assert bpy.ops.lb_lighting.bake_animation() == {"FINISHED"}
+        assert baked_path(ob).parent != folder
 
 
 class TestEstimate:
