@@ -18,16 +18,13 @@ from .operators import (
 )
 from .presets import LB_PT_presets
 
-WIDTH = 44  # characters of a line of text
+LETTER, FRAME = 6.5, 60  # pixels: of a letter on average, and of what is around a text
 
 
 class _Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "LB"
-
-    def draw_header_preset(self, _context):
-        LB_PT_presets.draw_panel_header(self.layout)
 
     def draw(self, context):
         self.layout.use_property_split = True
@@ -65,7 +62,7 @@ class LB_PT_lighting(_Panel, bpy.types.Panel):  # noqa: N801 - Blender's convent
             box = layout.box().column(align=True)
             box.alert = running.failed
             for line in running.last:
-                draw_text(box, line)
+                draw_text(context, box, line)
 
 
 class LB_PT_domain(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
@@ -125,10 +122,11 @@ class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
         column.prop(settings, "overwrite")
 
 
-def draw_text(layout, text):
+def draw_text(context, layout, text):
     """A sentence in as many lines as it needs."""
     layout = layout.column(align=True)
-    for number, part in enumerate(textwrap.wrap(text, WIDTH)):
+    width = context.region.width / context.preferences.system.ui_scale - FRAME
+    for number, part in enumerate(textwrap.wrap(text, max(12, int(width / LETTER)))):
         layout.label(text=part, icon="BLANK1" if number else "DOT")
 
 

@@ -80,7 +80,7 @@ class LB_OT_preview_stop(bpy.types.Operator):  # noqa: N801 - Blender's conventi
 class LB_PT_preview(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
     bl_label = "Free-Path Preview"
 
-    def draw_settings(self, _context, column, _settings):
+    def draw_settings(self, context, column, _settings):
         if _job is None:
             row = column.row(align=True)
             row.operator(LB_OT_preview.bl_idname, text="Preview", icon="HIDE_OFF").noise = False
@@ -90,16 +90,16 @@ class LB_PT_preview(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
             column.progress(factor=fraction, text=stage)
             column.operator(LB_OT_preview_stop.bl_idname, text="Stop", icon="CANCEL")
         if _failed:
-            draw_text(column, _failed)
+            draw_text(context, column, _failed)
         if PICTURE in _icons:
             column.template_icon(_icons[PICTURE].icon_id, scale=SCALE)
         if _survey is not None:
-            _draw_survey(column, _survey)
+            _draw_survey(context, column, _survey)
 
 
-def _draw_survey(column, survey):
+def _draw_survey(context, column, survey):
     found = survey.statistics
-    draw_text(column, survey.advice)
+    draw_text(context, column, survey.advice)
     column.template_icon(_icons[SURVEY].icon_id, scale=SCALE / 2)
     grid = column.grid_flow(columns=2, row_major=True, even_columns=True)
     for name, value in (

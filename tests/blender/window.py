@@ -205,15 +205,16 @@ def previewed():
     cloud, folder = build(resolution=64)
     with overridden():
         assert bpy.ops.lb_lighting.preview() == {"FINISHED"}
-    yield from until(lambda: preview._survey is not None or preview._failed)
-    assert not preview._failed, preview._failed
-    yield REDRAW
-    take_picture("preview")
     pid = preview._job._process.pid
+    yield from until(lambda: preview._job is None or preview._job.status[1] > 0.25)
+    assert preview._job, preview._failed
+    assert preview._survey
     cloud.location.x = 0.1
     yield from until(lambda: preview._job is None, 10)
     assert not is_alive(pid)
     nothing_changed(folder)
+    yield REDRAW
+    take_picture("preview")
 
 
 def cancelled(how):
