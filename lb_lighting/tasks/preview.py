@@ -13,8 +13,9 @@ from ..transport.survey import advice, histogram_picture, statistics
 from .light import Light
 
 PICTURE, SURVEY = "picture", "survey"  # files in the task's folder
-SAMPLES = 64.0  # of a pixel, after which a picture is good enough
+SAMPLES = 256.0  # of a pixel, after which a picture is good enough
 SURVEYED = 2.0  # after which the picture lets the survey go first
+PLOT = 240, 120  # pixels of the histogram
 CELLS = 4096  # of noise, along an edge
 CUTOFF = 0.35  # of noise: below it is void, which makes it clouds
 
@@ -66,7 +67,7 @@ class Preview:
 
 def _survey(medium, device, resolution):
     found = statistics(medium, device)
-    return Survey(found, advice(found, resolution), histogram_picture(found))
+    return Survey(found, advice(found, resolution), histogram_picture(found, *PLOT))
 
 
 def _noise_like(medium):

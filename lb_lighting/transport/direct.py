@@ -174,7 +174,7 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
         found, places, rays = _sweep(device, beam, depth).run(cancel)
         through, count = beam.leaving(rays)
         left[:_STOPPED] += share * through
-        entered += strongest * share * count
+        entered += strongest * float(share) * count  # which may be too small for float32
         found *= share
         score += beam.back(found)
         u, v, w = (beam.back(place) * share for place in places)

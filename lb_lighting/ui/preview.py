@@ -20,6 +20,7 @@ from .panels import SubPanel, draw_text
 
 SIZE = 160  # pixels of the picture's edge
 SCALE = 9.0  # of the picture, in buttons
+DARK = 0.12  # of displays, behind a plot
 DIM = 0.05  # linear, of what is behind the picture
 
 _job = None
@@ -100,7 +101,7 @@ class LB_PT_preview(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's conven
 def _draw_survey(context, column, survey):
     found = survey.statistics
     draw_text(context, column, survey.advice)
-    column.template_icon(_icons[SURVEY].icon_id, scale=SCALE / 2)
+    column.template_icon(_icons[SURVEY].icon_id, scale=SCALE)
     grid = column.grid_flow(columns=2, row_major=True, even_columns=True)
     for name, value in (
         ("Mean free path", _length(found.mean_free_path)),
@@ -150,7 +151,7 @@ def look():
             _show(PICTURE, _over(_load(PICTURE)))
         if _job.said.pop(SURVEY, False):
             _survey = _load(SURVEY)
-            _show(SURVEY, _square(_survey.histogram))
+            _show(SURVEY, _square(_on_dark(_survey.histogram)))
     except LightingError as error:
         _failed, done = str(error), True
     if done:
@@ -177,6 +178,12 @@ def _over(picture):
     light = np.clip(exposed + DIM * (1 - picture[..., 3:]), 0, 1)
     srgb = np.where(light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.concatenate([srgb, np.ones_like(picture[..., 3:])], axis=2)
+
+
+def _on_dark(plot):
+    """A plot, as displays have it, on a dark ground."""
+    alpha = plot[..., 3:]
+    return np.concatenate([plot[..., :3] * alpha + DARK * (1 - alpha), np.ones_like(alpha)], axis=2)
 
 
 def _square(picture):

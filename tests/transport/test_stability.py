@@ -67,10 +67,16 @@ def without_source(lattice):
 
 
 def size(lattice):
-    """The norm of its light; of what has left the domain, of what comes back."""
+    """The norm of its light; of what has left the domain, of what comes back.
+
+    Light counts by how much of its voxel is open, and what has left a voxel by how much of that one
+    is: there it comes back to.
+    """
     even = WEIGHTS[:, None]
     if lattice.occluders is not None:
-        even = even * (1 - lattice.cells.flat(lattice.opaque))
+        clear = 1 - lattice.cells.flat(lattice.opaque)
+        left = np.stack([np.roll(clear, step) for step in lattice.steps])
+        even = even * np.where(lattice.inside, clear, left)
     light = np.where(lattice.inside, 1, lattice.outside) * lattice.light
     return float(np.sqrt(np.sum(light**2 / even)))
 
