@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How long a bake holds Blender's main thread: at its start, at a look at the solver, at its end.
+
+What Blender itself does then, such as to draw the new volume, comes on top; tests/blender/window.py
+finds gaps with that in a window.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+bpy.utils.expose_bundled_modules()
+
+import lb_lighting  # noqa: E402 - OpenVDB has to be exposed first
+from lb_lighting.bake import Baking, Options  # noqa: E402
+from lb_lighting.cli import leave  # noqa: E402
+from tests import scenery  # noqa: E402
+from tests.benchmarks.table import publish  # noqa: E402
+
+RESOLUTION = 128
+TRIANGLES = 1_000_000
+
+
+def cloud(folder):
+    return scenery.add_fog(folder)
+
+
+def leaves(_folder):
+    """A million triangles, each a leaf of its own."""
+    rng = np.random.default_rng(0)
+    centers = rng.uniform(-0.9, 0.9, (TRIANGLES, 1, 3))
+    corners = centers + rng.uniform(-0.01, 0.01, (TRIANGLES, 3, 3))
+    mesh = bpy.data.meshes.new("leaves")
+    mesh.vertices.add(3 * TRIANGLES)
+    mesh.vertices.foreach_set("co", corners.astype(np.float32).ravel())
+    mesh.loops.add(3 * TRIANGLES)
+    mesh.loops.foreach_set("vertex_index", np.arange(3 * TRIANGLES, dtype=np.int32))
+    mesh.polygons.add(TRIANGLES)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * TRIANGLES, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    mesh.materials.append(scenery.leaf_material())
+    return scenery.link("leaves", mesh)
+
+
+def timed(action):
+    """(seconds, what it returns)."""
+    start = time.perf_counter()
+    result = action()
+    return time.perf_counter() - start, result
+
+
+def held(make):
+    """A row: a bake as the window has it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with tempfile.TemporaryDirectory() as folder:
+        ob = make(Path(folder))
+        scenery.add_sun()
+        bpy.context.view_layer.update()
+        options = Options(resolution=RESOLUTION, folder=folder)
+        begun, baking = timed(lambda: Baking(bpy.context, [ob], options))
+        looks, done = [], False
+        while not done:
+            time.sleep(0.1)
+            seconds, done = timed(baking.update)
+            looks.append(seconds)
+        ended, outcome = timed(lambda: baking.apply(bpy.context))
+    return {
+        "lit": make.__name__,
+        "start, s": begun,
+        "longest look, s": max(looks),
+        "end, s": ended,
+        "solver, s": sum(outcome.lit.report.seconds.values()),
+    }
+
+
+lb_lighting.register()
+publish("gaps", "main thread", [held(make) for make in (cloud, leaves)])
+leave(0)
