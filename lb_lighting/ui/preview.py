@@ -237,7 +237,9 @@ def register():
 
 
 def unregister():
+    global _survey
     stop()
+    _survey = None  # its picture goes with the icons
     for handlers, ours in _HANDLERS:
         handlers.remove(ours)
     for cls in reversed(_CLASSES):

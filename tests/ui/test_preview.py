@@ -87,3 +87,14 @@ def test_what_is_behind_is_dim_and_light_is_as_displays_have_it():
 
 def test_is_off_without_a_selection(scene):
     assert not bpy.ops.lb_lighting.preview.poll()
+
+
+def test_nothing_of_it_stays_where_the_extension_is_disabled(fog):
+    begun(fog)
+    while preview._survey is None:
+        assert preview.look() is not None, preview._failed
+    preview.unregister()
+    preview.register()
+    assert preview._job is None
+    assert preview._survey is None
+    assert len(preview._icons) == 0
