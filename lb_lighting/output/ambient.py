@@ -39,9 +39,12 @@ class Vertices:
         occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
         """
         points, normals = self._in_world()
-        off = STAND_OFF * field.domain.voxel_size * normals if self.is_wall else 0
-        front, _ = irradiance(field, points + off, normals, occlusion)
-        _, back = irradiance(field, points - off, normals, occlusion)
+        if not self.is_wall:
+            front, back = irradiance(field, points, normals, occlusion)
+        else:
+            off = STAND_OFF * field.domain.voxel_size * normals
+            front, _ = irradiance(field, points + off, normals, occlusion)
+            _, back = irradiance(field, points - off, normals, occlusion)
         return np.array((back, back) if self.is_body else (front, back)) / np.pi
 
     def _in_world(self):

@@ -3,8 +3,6 @@
 
 from dataclasses import dataclass, replace
 
-from ..transport.medium import paper_units
-from ..transport.solver import solve
 from .light import Light
 
 # Steps that an estimate tries, and the work of so many that dense media take until they settle: a
@@ -63,12 +61,10 @@ class Estimate:
         options, problem = self.light.options, self.light.problem()
         tell(stage="Trying", fraction=0.5)
         settings = replace(options.settings(), most_steps=TRIED, steps=TRIED)
-        is_paper = options.model == "paper"
-        medium = paper_units(problem.medium) if is_paper else problem.medium
-        report = solve(medium, problem.lights, settings, options.device or None).report
-        usual = 2 * max(medium.shape) if is_paper else USUAL
+        report, medium = self.light.solve(problem, settings).report, problem.medium
+        usual = 2 * max(medium.shape) if options.model == "paper" else USUAL
         steps = report.seconds["solve"] / report.steps * usual
-        depth = problem.medium.sigma_t.max() * problem.medium.density * medium.voxel_size
+        depth = medium.depth(medium.sigma_t.max())
         return Expected(
             medium.shape,
             medium.voxel_size,

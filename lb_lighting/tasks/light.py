@@ -155,14 +155,17 @@ class Light:
             )
         return domain
 
+    def solve(self, problem, settings, progress=None):
+        """The `Field` of a `Problem`, by the model and on the device that were chosen."""
+        is_paper = self.options.model == "paper"
+        medium = paper_units(problem.medium) if is_paper else problem.medium
+        return solve(medium, problem.lights, settings, self.options.device or None, progress)
+
     def _solve(self, problem, tell):
         def progress(_stage, fraction):
             tell(stage="Solving", fraction=SOLVE + (WRITE - SOLVE) * fraction)
 
-        is_paper = self.options.model == "paper"
-        medium = paper_units(problem.medium) if is_paper else problem.medium
-        wanted = self.options.device or None
-        field = solve(medium, problem.lights, self.options.settings(), wanted, progress)
+        field = self.solve(problem, self.options.settings(), progress)
         if not field.report.converged:
             self.reader.notes.append(
                 f"The light had not settled after {field.report.steps} steps and may be too dark; "

@@ -150,8 +150,10 @@ class TestAnimation:
 
 
 class TestEstimate:
-    def test_tells_what_a_bake_takes_and_changes_nothing(self, scene, tmp_path, capfd):
+    @pytest.mark.parametrize("model", MODELS)
+    def test_tells_what_a_bake_takes_and_changes_nothing(self, scene, tmp_path, capfd, model):
         scenery.select(scenery.add_fog(tmp_path))
+        scene.lb_lighting.model = model
         before = snapshot()
         assert bpy.ops.lb_lighting.estimate() == {"FINISHED"}
         assert "Info: A bake takes about " in capfd.readouterr().out
