@@ -162,6 +162,21 @@ class Medium:
         changes = {name: repeated(getattr(self, name), pieces) for name in grids}
         return self.altered(voxel_size=self.voxel_size / pieces, **changes)
 
+    def merged(self, pieces):
+        """The same medium in voxels `pieces` times as large, each the mean of those in it.
+
+        Where the edges do not divide evenly it is larger, by empty voxels.
+        """
+        changes = {name: merged(getattr(self, name), pieces) for name in ("density", "emission")}
+        if self.occlusion is not None:
+            opaque = merged(self.occlusion, pieces)
+            changes |= {"occlusion": opaque}
+            if self.occlusion_albedo.ndim == 4:
+                reflected = merged(self.occlusion * self.occlusion_albedo, pieces)
+                share = np.divide(reflected, opaque, out=np.zeros_like(reflected), where=opaque > 0)
+                changes["occlusion_albedo"] = np.minimum(share, 1)
+        return self.altered(voxel_size=self.voxel_size * pieces, **changes)
+
     def depth(self, sigma, box=None):
         """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m.
 
@@ -312,6 +327,17 @@ def repeated(grid, times):
         for axis in (-3, -2, -1):
             grid = grid.repeat(times, axis=axis)
     return grid
+
+
+def merged(grid, pieces):
+    """A grid (..., nx, ny, nz) of the means of cubes of `pieces` voxels, with zeros behind its end
+    where these do not fit; None as it is."""
+    if grid is None:
+        return None
+    *outer, nx, ny, nz = grid.shape
+    behind = [(0, 0)] * len(outer) + [(0, -n % pieces) for n in (nx, ny, nz)]
+    split = [part for n in (nx, ny, nz) for part in (-(-n // pieces), pieces)]
+    return np.pad(grid, behind).reshape(*outer, *split).mean(axis=(-5, -3, -1))
 
 
 def paper_units(medium):

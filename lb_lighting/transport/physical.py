@@ -6,7 +6,7 @@ handed to a lattice that carries scattered light alone. docs/physics.md derives 
 says what they neglect.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isinf, prod
 
@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import Cancelled, DeviceError, LightError
 from . import device as devices
 from . import direct, photons
+from .coarse import coarse, put_together
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
@@ -37,28 +38,51 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel):
     """`solver.solve` by the physical model; needed is the memory that it takes, bytes."""
     lights = list(lights)
     _refuse_unfit(medium, lights)
-    pieces, needed = _pieces(medium, settings, device, len(lights), needed)
-    if pieces > 1:
-        medium = medium.divided(pieces)
-        lights = [divided(light, pieces) for light in lights]
     work = _Work(settings, device, clock, progress, cancel)
-    field = work.light(medium, lights)
-    if medium.shift is not None:
-        _shift(field, medium, work)
+    pieces = settings.merge
+    if pieces == 1 or medium.shift is not None or settings.scattering == "single":
+        field = _lit(medium, lights, work, needed)
+    else:
+        single = replace(work, settings=replace(settings, scattering="single"), progress=None)
+        unscattered = _lit(medium, lights, single, needed)
+        large = [coarse(light, pieces) for light in lights]
+        field = put_together(unscattered, _lit(medium.merged(pieces), large, work, needed), pieces)
     if not np.any(field.report.energy["entered"]):
         raise LightError(
             "There is no light; add a sun, or a world with a colour that is not black."
         )
     # Not before: what is below zero in one voxel balances what is too much in others.
     np.maximum(field.fluence, 0, out=field.fluence)
-    field.report.bytes, field.report.seconds = needed, clock.seconds
+    field.report.seconds = clock.seconds
+    return field
+
+
+def _lit(medium, lights, work, needed):
+    """The `Field` of a medium, divided where its voxels are too thick."""
+    pieces, needed = _pieces(medium, work.settings, work.device, len(lights), needed)
+    if pieces > 1:
+        medium = medium.divided(pieces)
+        lights = [divided(light, pieces) for light in lights]
+    field = work.light(medium, lights)
+    if medium.shift is not None:
+        _shift(field, medium, work)
+    field.report.bytes = needed
     return field if pieces == 1 else merged(field, pieces)
 
 
 def plan(shape, settings, device, bands, occluded, lights=4):
     """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
+    if settings.merge > 1 and settings.scattering == "multiple":
+        large = tuple(-(-n // settings.merge) for n in shape)
+        rest = (device, bands, occluded, lights)
+        buffers, host = plan(shape, replace(settings, scattering="single"), *rest)
+        more, more_host = plan(large, replace(settings, merge=1), *rest)
+        kept = bands * (2 + 3 + 3 + lights) * 4 * prod(shape)
+        buffers = max(buffers, more, key=lambda needs: sum(needs.values()))
+        return buffers, max(host, kept + more_host)
     rays, casting = direct.plan(shape, occluded)
-    lattice = _lattice_class(device).buffers(shape, occluded)
+    single = settings.scattering == "single"
+    lattice = {} if single else _lattice_class(device).buffers(shape, occluded)
     voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
     fields = bands * (1 + 1 + 3 + 3 + lights + traced) * 4
@@ -105,6 +129,8 @@ def _pieces(medium, settings, device, lights, needed):
     MediumError where absorption is so strong that it would take too many, DeviceError where the
     pieces do not fit; those that only better the light are left out then.
     """
+    if settings.scattering == "single":
+        return 1, needed  # rays are right in voxels of any depth
     wished, must = (settings.divide,) * 2 if settings.divide else wished_pieces(medium)
 
     def bytes_of(pieces):
@@ -230,7 +256,8 @@ class _Work:
     def light(self, medium, lights):
         """The `Field` of the lights and the medium's emission."""
         shining = lights if medium.emission is None else [*lights, Emission(medium)]
-        last = _last_collision(medium, self.settings)
+        single = self.settings.scattering == "single"
+        last = 1 if single else _last_collision(medium, self.settings)
         runs, box = _runs(medium, shining, apart=last == 1), _box(medium, lights)
         traced = self._trace(medium, lights, last) if last > 1 else None
         begun = _TRACING if traced else 0.0
@@ -284,6 +311,10 @@ class _Work:
     def _band(self, medium, box, lights, band, traced):
         self._tell("direct", self.begun)
         lit = _Band.dark(medium.shape, len(lights))
+        if self.settings.scattering == "single":
+            with self.clock("direct"):
+                self._unscattered(medium, box, lights, band, lit)
+            return lit
         with self.clock("direct"):
             if traced is None:
                 handover = self._first_collisions(medium, box, lights, band, lit)
@@ -309,6 +340,21 @@ class _Work:
         if isinstance(light, (Sky, Emission)):
             rays = _RAYS_OF_SKY
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel, box)
+
+    def _unscattered(self, medium, box, lights, band, lit):
+        """Light that has not scattered alone; what would scatter is counted, and followed no
+        further."""
+        lit.energy["scattered"] = 0.0
+        for number, part in _parts(lights):
+            cast = self._cast(medium, box, part, band, medium.sigma_t[band])
+            lit.add_unscattered(number, cast)
+            collided = cast.collided.power.sum(dtype=float)
+            reflected = 0.0 if cast.reflected is None else cast.reflected.sum(dtype=float)
+            albedo = medium.albedo[band]
+            lit.energy["entered"] += cast.entered
+            lit.energy["absorbed"] += cast.stopped + (1 - albedo) * collided
+            lit.energy["left"] += cast.left
+            lit.energy["scattered"] += albedo * collided + reflected
 
     def _first_collisions(self, medium, box, lights, band, lit):
         """The `_Handover` of first collisions; what else they tell goes to `lit`."""
@@ -517,7 +563,7 @@ def _take(field, lit, numbers, band, factor):
     add(field.flux, lit.flux)
     report = field.report
     for where, power in lit.energy.items():
-        report.energy[where][band] += factor * power
+        report.energy.setdefault(where, np.zeros(len(field.fluence)))[band] += factor * power
     report.steps = max(report.steps, lit.steps)
     report.corrections = max(report.corrections, lit.corrections)
     report.residual = max(report.residual, lit.residual)

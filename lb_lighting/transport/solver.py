@@ -11,6 +11,7 @@ from .field import Clock
 MODELS = {"physical": physical, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
 PRECISIONS = ("fp32",)
+SCATTERINGS = ("multiple", "single")
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,11 @@ class Settings:
                       medium there
 
     Of the physical model:
+    scattering        "multiple", or "single": unscattered light alone, which is what a shader
+                      needs to scatter it once; no lattice, and the fluence is 0
+    merge             the voxels along each edge that scattered light is found in as one;
+                      unscattered light keeps the medium's own. Media that shift light between
+                      bands are not merged
     handover          how far light is traced as photons before the lattice takes it over, in
                       transport optical depths: 0 for not at all, infinity for photons alone
     traced_collisions the collision, or a later one, at which the lattice takes over; 1 and a
@@ -43,6 +49,8 @@ class Settings:
     """
 
     model: str = "physical"
+    scattering: str = "multiple"
+    merge: int = 1
     handover: float = 0.0
     traced_collisions: int = 1
     photons: int | None = None
@@ -58,6 +66,7 @@ class Settings:
     def __post_init__(self):
         for value, known, what in (
             (self.model, tuple(MODELS), "model"),
+            (self.scattering, SCATTERINGS, "scattering"),
             (self.precision, PRECISIONS, "precision"),
             (self.kernel, KERNELS, "kernel"),
         ):
@@ -67,6 +76,7 @@ class Settings:
         if not 0 < self.tolerance < 1:
             raise SettingsError(f"The tolerance must lie between 0 and 1; it is {self.tolerance}.")
         require_whole(self.seed, "seed", 0, 2**32 - 1)
+        require_whole(self.merge, "number of voxels merged along an edge", 1, 64)
         require_whole(self.traced_collisions, "number of traced collisions", 1, 2**31 - 1)
         require_whole(self.most_steps, "number of steps", 1, 2**31 - 1)
         for value, what, highest in (
