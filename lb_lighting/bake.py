@@ -61,7 +61,13 @@ class Outcome:
             f"{sum(seconds.values()):.1f} s on {report.device}",
             f"{report.steps} steps, {report.corrections} corrections, "
             f"settled to {report.residual:.1%}",
+            *(self.plan.reasons if self.plan else []),
         ]
+
+    @property
+    def plan(self):
+        """The `Plan` that it was solved by, or None."""
+        return self.lit.plan
 
     @cached_property
     def field(self):
@@ -94,10 +100,11 @@ class Baking(Job):
     the number that Blender gives them for the session.
     """
 
-    def __init__(self, context, objects, options, frames=None):
+    def __init__(self, context, objects, options, frames=None, settings=None):
         """Read the scene and start; raises as `gather` does.
 
-        frames  the `Frames` that this is one of, or None
+        frames    the `Frames` that this is one of, or None
+        settings  `Settings` that another frame was planned to have, or None
         """
         objects = sources_of(context.scene, objects)
         _refuse_unwritable(objects, options)
@@ -105,7 +112,7 @@ class Baking(Job):
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
         path = frames.path(context.scene.frame_current) if frames else None
-        super().__init__(gather(context, objects, options, path))
+        super().__init__(gather(context, objects, options, path, settings))
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
@@ -160,10 +167,11 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None):
+def gather(context, objects, options, path=None, settings=None):
     """The task `Light` that the scene poses at the current frame.
 
-    path  of the file that it is to write, or None for one that is new
+    path      of the file that it is to write, or None for one that is new
+    settings  `Settings` that another frame was planned to have, or None
     """
     with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
@@ -207,6 +215,7 @@ def gather(context, objects, options, path=None):
             "sources": ", ".join(source.name for source in sources),
             "frame": context.scene.frame_current,
         },
+        settings=settings,
     )
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from .errors import SettingsError, require_known
 from .scene.sources import CUSTOM, FROM_MATERIAL
 from .transport.medium import PRESETS, optics_by_band
+from .transport.planner import TARGETS
 from .transport.solver import MODELS, Settings
 
+QUALITIES = (*TARGETS, CUSTOM)
 MODES = ("REPLACE", "ADD")
 SHOWN = {"strength", "device", "folder"}
 FOLIAGE = ("ATTRIBUTE", "MODIFIER")  # how it gets its light
@@ -29,7 +31,12 @@ class Options:
     optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
     grid: str = ""  # grid to read from volumes, or "" for the material's
     model: str = "physical"  # or "paper"
-    handover: float = 0.0  # transport optical depths that photons are traced for, by "physical"
+    quality: str = "draft"  # an error target, see transport/planner.py; or "CUSTOM": the next five
+    scattering: str = "multiple"  # or "single"
+    merge: int = 1  # voxels along each edge that scattered light is found in as one
+    handover: float = 0.0  # transport optical depths that photons are traced for
+    photons: int = 0  # to trace, or 0 for as many as the voxels take
+    tolerance: float = 2**-7  # relative error that the lattice's steps leave; as float32 has it
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
     foliage: str = "ATTRIBUTE"  # how it gets its light: "ATTRIBUTE", or "MODIFIER" that reads it
     strength: float = 1.0  # factor on the light in the render
@@ -41,6 +48,7 @@ class Options:
         for value, known, what in (
             (self.medium, (FROM_MATERIAL, CUSTOM, *PRESETS), "medium"),
             (self.model, tuple(MODELS), "model"),
+            (self.quality, QUALITIES, "quality"),
             (self.mode, MODES, "mode"),
             (self.foliage, FOLIAGE, "light of foliage"),
         ):
@@ -62,8 +70,18 @@ class Options:
             raise SettingsError(f"The optical depth must be positive; it is {self.optical_depth}.")
 
     def settings(self):
-        """The solver's `Settings`."""
-        return Settings(model=self.model, handover=self.handover, keep_absorbed=self.keep_absorbed)
+        """The solver's `Settings`, where they are not to be planned."""
+        return Settings(model=self.model, keep_absorbed=self.keep_absorbed, **self.by_hand)
+
+    @property
+    def by_hand(self):
+        """{name: value} of the `Settings` that a plan chooses, as they are for CUSTOM."""
+        names = ("scattering", "merge", "handover", "tolerance")
+        return {name: getattr(self, name) for name in names} | {"photons": self.photons or None}
+
+    @property
+    def is_planned(self):
+        return self.model == "physical" and self.quality != CUSTOM
 
     @property
     def essence(self):

@@ -40,7 +40,7 @@ class Sequence:
                 "again."
             )
         self.notes = {}  # in order, each once
-        self.ways = None
+        self.ways = self.settings = None
         try:
             self._start_next(context, objects)
         except BaseException:
@@ -84,6 +84,8 @@ class Sequence:
         self.ways = self.ways or ways
         if ways != self.ways:
             self.notes[MOVING] = None
+        if outcome.lit.plan:  # one plan for all: what differed from frame to frame would flicker
+            self.settings = outcome.lit.plan.settings
         self.missing.pop(0)
         if self.missing:
             self._start_next(context, self.baking.found())
@@ -95,7 +97,7 @@ class Sequence:
         scene, shown = context.scene, context.scene.frame_current
         scene.frame_set(self.missing[0])
         try:
-            self.baking = Baking(context, objects, self.options, self.frames)
+            self.baking = Baking(context, objects, self.options, self.frames, self.settings)
         finally:
             scene.frame_set(shown)
 

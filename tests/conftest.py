@@ -73,4 +73,5 @@ def scene(tmp_path):
     scenery.add_sun()
     settings = bpy.context.scene.lb_lighting
     settings.resolution, settings.device, settings.folder = 16, "NumPy", str(tmp_path)
+    settings.quality = "CUSTOM"
     return bpy.context.scene

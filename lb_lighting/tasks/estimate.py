@@ -3,22 +3,22 @@
 
 from dataclasses import dataclass, replace
 
+from ..transport.planner import Plan
 from .light import Light
 
-# Steps that an estimate tries, and the work of so many that dense media take until they settle: a
-# white cube of depth 32 takes 124 in 128^3 voxels (docs/performance.md).
-TRIED, USUAL = 8, 120
+TRIED = 8  # steps of the paper's model, which takes a number of them that is known
 
 
 @dataclass
 class Expected:
-    """What a bake will take, and what the medium is like.
+    """What a bake will take, what it will be worth, and what the medium is like.
 
     shape          voxels
     voxel_size     m
-    bytes          on the device
+    bytes          of memory
     device         its label
     seconds        about, of the solver
+    plan           the `Plan`; None by the paper's model, which has no error to plan for
     voxel_depth    optical depth of the densest voxel's edge
     domain_depth   the largest optical depth of a line through the domain along an axis
     notes          sentences that the user should read
@@ -29,6 +29,7 @@ class Expected:
     bytes: int
     device: str
     seconds: float
+    plan: Plan | None
     voxel_depth: float
     domain_depth: float
     notes: list
@@ -36,7 +37,8 @@ class Expected:
     @property
     def summary(self):
         """The most of it in one line."""
-        return f"A bake takes about {duration(self.seconds)} on {self.device}"
+        error = f", {self.plan.error:.1%} off" if self.plan else ""
+        return f"A bake takes about {duration(self.seconds)} on {self.device}{error}"
 
     @property
     def facts(self):
@@ -46,35 +48,47 @@ class Expected:
             f"{shape} voxels of {self.voxel_size:.3g} m, {self.bytes / 2**20:.0f} MiB",
             f"About {duration(self.seconds)} on {self.device}",
             f"Optical depth: {self.voxel_depth:.2g} a voxel, {self.domain_depth:.3g} across",
+            *(self.plan.reasons if self.plan else []),
         ]
 
 
 @dataclass
 class Estimate:
-    """Find out what a `Light` will take, by filling its voxels and by its first steps."""
+    """Find out what a `Light` will take, by filling its voxels and by a plan."""
 
     light: Light
 
     def run(self, tell, _folder):
         """An `Expected`."""
         tell(stage="Filling voxels", fraction=0.0)
-        options, problem = self.light.options, self.light.problem()
+        problem = self.light.problem()
         tell(stage="Trying", fraction=0.5)
-        settings = replace(options.settings(), most_steps=TRIED, steps=TRIED)
-        report, medium = self.light.solve(problem, settings).report, problem.medium
-        usual = 2 * max(medium.shape) if options.model == "paper" else USUAL
-        steps = report.seconds["solve"] / report.steps * usual
+        medium = problem.medium
         depth = medium.depth(medium.sigma_t.max())
+        found = self._paper(problem) if self.light.options.model == "paper" else self._plan(problem)
         return Expected(
             medium.shape,
             medium.voxel_size,
-            report.bytes,
-            report.device,
-            sum(report.seconds.values()) - report.seconds["solve"] + steps,
+            *found,
             float(depth.max()),
             float(max(depth.sum(axis=axis).max() for axis in range(3))),
             self.light.reader.notes,
         )
+
+    def _plan(self, problem):
+        options = self.light.options
+        if options.is_planned:
+            plan = self.light.plan(problem, options.quality)
+        else:  # the target is of no importance: there is nothing to choose
+            plan = self.light.plan(problem, "final", options.by_hand)
+        return plan.bytes, plan.device, plan.seconds, plan
+
+    def _paper(self, problem):
+        settings = replace(self.light.options.settings(), steps=TRIED)
+        report = self.light.solve(problem, settings).report
+        steps = report.seconds["solve"] / report.steps * 2 * max(problem.medium.shape)
+        seconds = sum(report.seconds.values()) - report.seconds["solve"] + steps
+        return report.bytes, report.device, seconds, None
 
 
 def duration(seconds):

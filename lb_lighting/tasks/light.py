@@ -14,14 +14,15 @@ from ..scene.sources import mixture, occluders, with_shadows
 from ..transport.field import Report
 from ..transport.lights import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
-from ..transport.solver import require_memory, solve
+from ..transport.planner import Plan, plan
+from ..transport.solver import Settings, require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
 ESSENCE = "essence"  # of the options, in the file's metadata
 _SPHERE = np.float32(4 * np.pi)  # sr
-# Where on its way a bake is when the solve begins, and when it ends.
-SOLVE, WRITE = 0.1, 0.9
+# Where on its way a bake is when the plan begins, the solve begins, and when it ends.
+PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
 
 
 @dataclass
@@ -45,6 +46,7 @@ class Lit:
 
     domain   the `Domain` of the solve
     report   the solver's
+    plan     the `Plan` that it was solved by, or None where there was none
     beams    the `Sun`, `PointLight` or `SpotLight` of each grid of unscattered light in the file
     optics   what the lit volume renders at density 1
     ambient  {number of the source: (2, vertices, bands) W/(m^2 sr)}, see output/ambient.py
@@ -53,6 +55,7 @@ class Lit:
 
     domain: Domain
     report: Report
+    plan: Plan | None
     beams: list
     optics: Optics
     ambient: dict
@@ -72,6 +75,7 @@ class Light:
     readers   [number of the source] of those whose light a modifier reads from the file
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
+    settings  `Settings` that another frame was planned to have, or None
     """
 
     options: Options
@@ -83,6 +87,7 @@ class Light:
     readers: list
     path: str
     facts: dict
+    settings: Settings | None = None
 
     @property
     def scraps(self):
@@ -93,23 +98,47 @@ class Light:
         """A `Lit`; the `Field` goes to the file FIELD in `folder`."""
         tell(stage="Filling voxels", fraction=0.0)
         problem = self.problem()
-        field = self._solve(problem, tell)
+        settings, planned = self._settings(problem, tell)
+        field = self._solve(problem, settings, tell)
         tell(stage="Writing", fraction=WRITE)
         exchange.save(folder / FIELD, field)
-        return self.keep(problem, field)
+        return self.keep(problem, field, planned)
 
-    def keep(self, problem, field):
+    def _settings(self, problem, tell):
+        """(`Settings`, the `Plan` that they are of or None)."""
+        if self.settings is not None:
+            return self.settings, None
+        if not self.options.is_planned:
+            return self.options.settings(), None
+        tell(stage="Planning", fraction=PLAN)
+        planned = self.plan(problem, self.options.quality)
+        return planned.settings, planned
+
+    def plan(self, problem, quality, fixed=None):
+        """The `Plan` for a `Problem`; fixed is what is not to be chosen."""
+        device = self.options.device or None
+        return plan(problem.medium, problem.lights, quality, device, fixed)
+
+    def keep(self, problem, field, planned=None):
         """Write the file of the `Field` that a `Problem` has: a `Lit`."""
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
-        beams = self._write(problem, field, occlusion)
+        beams = self._write(problem, field, occlusion, planned)
         ambient = {
             number: vertices.light(field, occlusion)
             for number, vertices in self.surfaces.items()
             if self.sources[number].shows_light
         }
         optics = problem.shown[1]
-        return Lit(field.domain, field.report, beams, optics, ambient, self.reader.notes)
+        return Lit(
+            field.domain,
+            field.report,
+            planned,
+            beams,
+            optics,
+            ambient,
+            self.reader.notes,
+        )
 
     def problem(self):
         """The `Problem` that the scene poses."""
@@ -147,7 +176,10 @@ class Light:
         corners = np.concatenate([self.box] if self.box else [s.bounds for s in self.sources])
         padding, resolution = self.options.padding, self.options.resolution
         domain = Domain.around(corners.min(axis=0), corners.max(axis=0), resolution, padding)
-        require_memory(domain.shape, self.options.settings(), self.options.device)
+        # A plan chooses what fits; unscattered light is the least of it.
+        least = Settings(scattering="single")
+        settings = least if self.options.is_planned else self.options.settings()
+        require_memory(domain.shape, settings, self.options.device)
         if domain.voxel_size < SMALLEST_VOXEL:
             raise SceneError(
                 f"Voxels of {domain.voxel_size:.1g} m are too small for a volume file; "
@@ -161,11 +193,11 @@ class Light:
         medium = paper_units(problem.medium) if is_paper else problem.medium
         return solve(medium, problem.lights, settings, self.options.device or None, progress)
 
-    def _solve(self, problem, tell):
+    def _solve(self, problem, settings, tell):
         def progress(_stage, fraction):
             tell(stage="Solving", fraction=SOLVE + (WRITE - SOLVE) * fraction)
 
-        field = self.solve(problem, self.options.settings(), progress)
+        field = self.solve(problem, settings, progress)
         if not field.report.converged:
             self.reader.notes.append(
                 f"The light had not settled after {field.report.steps} steps and may be too dark; "
@@ -177,12 +209,14 @@ class Light:
             )
         return field
 
-    def _write(self, problem, field, occlusion):
+    def _write(self, problem, field, occlusion, planned):
         """Write the .vdb; the beams that it has grids of."""
         light, others, beams = volume_light(field, problem.lights, self.options.mode)
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
         stamp = self._stamp(problem.medium, field.report)
+        if planned is not None:
+            stamp["expected_error"] = planned.error
         read = ambient_grids(field, occlusion) if self.readers else None
         write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
         return beams

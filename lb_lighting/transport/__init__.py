@@ -16,6 +16,7 @@ from .lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
 from .perlin import PerlinMedium
 from .photons import trace
+from .planner import Plan, plan
 from .preview import Picture, View, pictures
 from .solver import Settings, solve
 from .survey import Statistics, advice, histogram_picture, statistics
@@ -38,6 +39,7 @@ __all__ = [
     "PerlinMedium",
     "PhotonReport",
     "Picture",
+    "Plan",
     "PointLight",
     "Report",
     "Settings",
@@ -52,6 +54,7 @@ __all__ = [
     "histogram_picture",
     "paper_units",
     "pictures",
+    "plan",
     "sample_free_paths",
     "solve",
     "statistics",

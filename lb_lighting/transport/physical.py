@@ -129,8 +129,8 @@ def _pieces(medium, settings, device, lights, needed):
     MediumError where absorption is so strong that it would take too many, DeviceError where the
     pieces do not fit; those that only better the light are left out then.
     """
-    if settings.scattering == "single":
-        return 1, needed  # rays are right in voxels of any depth
+    if settings.scattering == "single" or isinf(settings.handover):
+        return 1, needed  # rays and photons are right in voxels of any depth
     wished, must = (settings.divide,) * 2 if settings.divide else wished_pieces(medium)
 
     def bytes_of(pieces):

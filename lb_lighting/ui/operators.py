@@ -7,8 +7,11 @@ from bpy.props import BoolProperty
 from .. import bake
 from ..errors import LightingError
 from ..output import shading
+from ..scene.sources import CUSTOM
 from ..sequence import Sequence
 from . import running
+
+FAR = 1000  # transport optical depths, in place of a handover at infinity, which Blender has not
 
 
 class _Works:
@@ -103,6 +106,7 @@ class _Works:
         for note in outcome.notes:
             self.report({"WARNING"}, note)
         self.report({"INFO"}, outcome.summary)
+        running.plan = outcome.plan or running.plan
         running.finish([*outcome.facts, *outcome.notes])
         return {"FINISHED"}
 
@@ -143,6 +147,29 @@ class LB_OT_estimate(_Works, bpy.types.Operator):  # noqa: N801 - Blender's conv
     def begin(self, context):
         options = bake.Options.of(context.scene)
         return bake.Estimating(context, context.selected_objects, options)
+
+
+class LB_OT_customize(bpy.types.Operator):  # noqa: N801 - Blender's convention
+    """Make the quality Custom, with the settings of the last plan, to change them by hand"""
+
+    bl_idname = "lb_lighting.customize"
+    bl_label = "Customize"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, _context):
+        if running.plan is None:
+            cls.poll_message_set("Estimate or bake first, by a quality other than Custom")
+        return running.plan is not None
+
+    def execute(self, context):
+        settings, planned = context.scene.lb_lighting, running.plan.settings
+        settings.quality = CUSTOM
+        settings.photons = planned.photons or 0
+        settings.handover = min(planned.handover, FAR)
+        for name in ("scattering", "merge", "tolerance"):
+            setattr(settings, name, getattr(planned, name))
+        return {"FINISHED"}
 
 
 class LB_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's convention
@@ -218,6 +245,7 @@ _CLASSES = (
     LB_OT_bake,
     LB_OT_bake_animation,
     LB_OT_estimate,
+    LB_OT_customize,
     LB_OT_cancel,
     LB_OT_clear,
     LB_OT_use,

@@ -13,6 +13,7 @@ from .operators import (
     LB_OT_bake_animation,
     LB_OT_cancel,
     LB_OT_clear,
+    LB_OT_customize,
     LB_OT_estimate,
     LB_OT_use,
 )
@@ -72,6 +73,11 @@ class LB_PT_domain(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
         column.prop(settings, "domain", placeholder="The selection's")
         column.prop(settings, "resolution")
         column.prop(settings, "padding")
+        quality = column.column()
+        quality.active = settings.model == "physical"
+        quality.prop(settings, "quality")
+        row = quality.row()
+        row.operator(LB_OT_customize.bl_idname, icon="OPTIONS")
 
 
 class LB_PT_medium(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convention
@@ -102,9 +108,9 @@ class LB_PT_solver(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
     def draw_settings(self, _context, column, settings):
         column.prop(settings, "device", placeholder="The best")
         column.prop(settings, "model")
-        handover = column.row()
-        handover.active = settings.model == "physical"
-        handover.prop(settings, "handover")
+        if settings.model == "physical" and settings.quality == CUSTOM:
+            for name in ("scattering", "merge", "handover", "photons", "tolerance"):
+                column.prop(settings, name)
         absorbed = column.row()
         absorbed.active = settings.model == "paper"
         absorbed.prop(settings, "keep_absorbed")

@@ -37,6 +37,17 @@ MODELS = [
         "The lattice of Geist and Westall as printed: for comparison; its level is not nature's",
     ),
 ]
+QUALITIES = [
+    ("preview", "Preview", "An error of 20 % at most: to place lamps, within a second or so"),
+    ("draft", "Draft", "An error of 10 % at most: the lattice alone, free of noise"),
+    ("final", "Final", "An error of 5 % at most: with photons where the lattice needs them"),
+    ("reference", "Reference", "An error of 2 % at most: slow, to compare with"),
+    ("CUSTOM", "Custom", "The settings below, which Customize fills in with what was planned"),
+]
+SCATTERINGS = [
+    ("multiple", "Multiple", "All scattered light"),
+    ("single", "Single", "No lattice: light scatters once, in the shader; for thin media"),
+]
 MODES = [
     (
         "REPLACE",
@@ -137,10 +148,45 @@ class SceneProperties(bpy.types.PropertyGroup):
         description="Grid to read from volumes and smoke; empty for the one the material names",
     )
     model: EnumProperty(name="Model", description="How light is computed", items=MODELS)
+    quality: EnumProperty(
+        name="Quality",
+        description="How wrong the light may be, on average over voxels; how that is reached is "
+        "planned for each scene",
+        items=QUALITIES,
+        default="draft",
+    )
+    scattering: EnumProperty(
+        name="Scattering", description="What scattered light is found", items=SCATTERINGS
+    )
+    merge: IntProperty(
+        name="Merge Voxels",
+        description="Find scattered light in voxels so many times as large; unscattered light "
+        "keeps its own",
+        default=1,
+        min=1,
+        max=64,
+        soft_max=8,
+    )
+    photons: IntProperty(
+        name="Photons",
+        description="How many are traced: four times as many leave half the noise. 0 for 64 a "
+        "voxel",
+        default=0,
+        min=0,
+    )
+    tolerance: FloatProperty(
+        name="Tolerance",
+        description="The error that the lattice's steps may leave, of its light",
+        default=2**-7,
+        min=1e-5,
+        max=0.5,
+        precision=4,
+    )
     handover: FloatProperty(
         name="Trace Photons",
         description="How far light is traced as photons before the lattice takes it over, in "
-        "transport optical depths: 0 is fast and free of noise, 4 is more exact",
+        "transport optical depths: 0 is fast and free of noise, 4 is more exact, 1000 leaves "
+        "next to nothing to the lattice",
         default=0,
         min=0,
         soft_max=8,

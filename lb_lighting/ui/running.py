@@ -12,6 +12,7 @@ baking = None  # a `Baking`, a `Sequence` or an `Estimating`
 told = "", 0.0, None  # what to show of it: stage, fraction, seconds left
 last = ()  # lines about the one before
 failed = False  # whether those tell of an error
+plan = None  # the latest `Plan`
 
 
 def start(work):

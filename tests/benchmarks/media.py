@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lb_lighting.transport import Medium, Sky, Sun
+from lb_lighting.transport import Medium, PointLight, Sky, Sun
+from tests.benchmarks.shapes import SHAPES
 from tests.setup import heads
 
 EDGE = 24  # voxels
+TRADED = 32  # voxels of the media whose speed and accuracy are traded
+RANDOM = 24  # media
 COARSE = 12  # voxels of the media that are refined
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
 DEPTHS = (2, 8, 32, 128)
@@ -59,11 +62,14 @@ def clouds():
 
 def smoke():
     """A plume with a hot core that glows, in the sun."""
-    x, _, z = corners(EDGE)
-    density = cloud(EDGE, seed=5) * np.exp(-z)
+    yield Case("smoke 4, g 0.6, hot core", plume(EDGE), (SUN,))
+
+
+def plume(n):
+    x, _, z = corners(n)
+    density = cloud(n, seed=5) * np.exp(-z)
     core = np.exp(-((x / 0.4) ** 2 + ((z + 0.5) / 0.3) ** 2) / 2)
-    medium = of_depth(density, 4, 0.8, 0.6, emission=20 * density * core)
-    yield Case("smoke 4, g 0.6, hot core", medium, (SUN,))
+    return of_depth(density, 4, 0.8, 0.6, emission=20 * density * core)
 
 
 def head():
@@ -97,6 +103,61 @@ def refined_cases():
     yield Case("cloud 20, g .85", medium, (SUN,), "refined")
 
 
+def trade_cases():
+    """What the dials are measured in: the media that speed and accuracy are traded for."""
+    ones = np.ones((TRADED,) * 3)
+    for depth in DEPTHS:
+        for g in ASYMMETRIES:
+            for albedo in ALBEDOS:
+                name = f"cube {depth}, g {g:g}, albedo {albedo:g}"
+                yield Case(name, of_depth(ones, depth, albedo, g), (SUN,), "trade")
+    puffs = cloud(TRADED)
+    yield Case("cloud 20, g 0.85", of_depth(puffs, 20, 0.99, 0.85), (SUN,), "trade")
+    yield Case("cloud 80, g 0.85", of_depth(puffs, 80, 0.999, 0.85), (SUN,), "trade")
+    yield Case("smoke 4, g 0.6, hot core", plume(TRADED), (SUN,), "trade")
+    leaves, lights = crown(TRADED), (SUN, Sky(0.1))
+    yield Case("crown of green leaves", of_depth(leaves, 1.5, 0.19, -0.02), lights, "trade")
+    yield Case("crown of white leaves", of_depth(leaves, 1.5, 0.9, 0.0), lights, "trade")
+    slab = np.zeros((TRADED,) * 3)
+    slab[:, :, 12:20] = 1
+    yield Case("slab 10, g 0.75", Medium(slab, 1 / TRADED, 39.6, 0.4, 0.75), (SUN,), "trade")
+
+
+def random_cases():
+    """Media and lights drawn at random, which nothing was fitted to."""
+    for seed in range(RANDOM):
+        rng = np.random.default_rng([seed, 7])
+        medium = random_medium(rng)
+        lights = RANDOM_LIGHTS[rng.integers(len(RANDOM_LIGHTS))](rng)
+        yield Case(f"random {seed}", medium, lights, "random")
+
+
+def random_medium(rng):
+    shape = SHAPES[rng.integers(len(SHAPES))]
+    density = shape((TRADED,) * 3, rng)
+    if not density.any():
+        density[...] = 1
+    albedo = 1 - 10 ** rng.uniform(-4, -0.3)
+    return of_depth(density, 10 ** rng.uniform(-1.5, 2), albedo, rng.uniform(-0.3, 0.9))
+
+
+def random_sun(rng):
+    toward = rng.normal(size=3) * (1, 1, 0.3) - (0, 0, 1)
+    return (Sun(tuple(toward), 1.0),)
+
+
+def random_sun_and_sky(rng):
+    return (*random_sun(rng), Sky(bright_zenith))
+
+
+def random_lamp(rng):
+    place = rng.normal(size=3)
+    return (PointLight(tuple(0.5 + 1.2 * place / np.linalg.norm(place)), 10.0),)
+
+
+RANDOM_LIGHTS = (random_sun, random_sun_and_sky, random_lamp)
+
+
 # --- Shapes --------------------------------------------------------------------------------------
 
 
@@ -119,6 +180,18 @@ def cloud(n, seed=2):
         shape = np.maximum(shape, 1 - distance / radius)
     shape = np.minimum(shape, 4 * (z + 0.8))  # the base
     return np.clip(1.5 * shape + 0.4 * noise(n, rng), 0, 1.5)
+
+
+def crown(n, seed=3):
+    """(n, n, n) densities of leaves in clumps that fill a ball."""
+    rng = np.random.default_rng(seed)
+    places = np.stack(corners(n), axis=-1)
+    density = np.zeros((n,) * 3)
+    for _ in range(40):
+        middle = rng.normal(size=3)
+        middle *= 0.7 * rng.random() ** (1 / 3) / np.linalg.norm(middle)
+        density += np.exp(-((places - middle) ** 2).sum(axis=-1) / (2 * 0.12**2))
+    return density * (density > 0.05) * rng.gamma(4, 1 / 4, density.shape)
 
 
 def noise(n, rng):

@@ -4,7 +4,7 @@
     python -m tests.benchmarks.references [NAME ...]
 
 traces those that are stored no more or that have changed (or that are named), and stores them in
-tests/references/accuracy.npz, which takes many minutes; the benchmark only reads.
+tests/references/accuracy.npz and trade.npz, which takes many minutes; the benchmarks only read.
 """
 
 import json
@@ -16,13 +16,17 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import trace
-from tests.benchmarks.media import main_cases, refined_cases
+from tests.benchmarks.media import main_cases, random_cases, refined_cases, trade_cases
 
-STORE = Path(__file__).parents[1] / "references" / "accuracy.npz"
-TARGETS = {"main": 0.0098, "refined": 0.004}  # relative standard error, in L2
-PHOTONS = {"main": 400_000, "refined": 200_000}  # of a seed
+STORES = Path(__file__).parents[1] / "references"
+# Relative standard error, in L2; that of what is traded is taken out of errors of 2 % and more.
+TARGETS = {"main": 0.0098, "refined": 0.004, "trade": 0.03, "random": 0.03}
+PHOTONS = {"main": 400_000, "refined": 200_000, "trade": 100_000, "random": 100_000}  # of a seed
+# The simplest, but for densities so uneven that it hardly moves on.
+SAMPLERS = dict.fromkeys(TARGETS, "woodcock") | {"random": "supervoxel_constant"}
 FEWEST_SEEDS = 8  # for a standard error that is known to a few percent
-DIGITS = 11  # bits of a number that are kept: to 1 / 4000, far below the error
+# Bits of a number that are kept: to 1 / 4000 and 1 / 500, far below the error.
+DIGITS = {"accuracy": 11, "trade": 8}
 
 
 @dataclass(frozen=True)
@@ -36,10 +40,11 @@ class Reference:
 class References:
     """The stored references: what was traced of each case, and how."""
 
-    def __init__(self):
+    def __init__(self, name="accuracy"):
+        self.name, self.path = name, STORES / f"{name}.npz"
         self.light, self.about = {}, {}
-        if STORE.exists():
-            with np.load(STORE) as file:
+        if self.path.exists():
+            with np.load(self.path) as file:
                 self.about = json.loads(str(file["about"]))
                 self.light = {name: file[name] for name in self.about}
 
@@ -54,14 +59,13 @@ class References:
         return about is not None and np.allclose(about["medium"], facts(case.medium), rtol=1e-5)
 
     def add(self, case, light, about):
-        self.light[case.name] = rounded(light)
+        self.light[case.name] = rounded(light, DIGITS[self.name])
         self.about[case.name] = about | {"medium": facts(case.medium)}
 
     def store(self):
-        STORE.parent.mkdir(exist_ok=True)
-        partial = STORE.with_name("partial.npz")  # so that nobody reads half of it
+        partial = self.path.with_name("partial.npz")  # so that nobody reads half of it
         np.savez_compressed(partial, about=json.dumps(self.about), **self.light)
-        partial.replace(STORE)
+        partial.replace(self.path)
 
 
 def facts(medium):
@@ -81,7 +85,7 @@ def measure(case):
             case.medium,
             case.lights,
             PHOTONS[case.group],
-            sampler="woodcock",
+            sampler=SAMPLERS[case.group],
             seed=seeds,
             spacing=0.5,
             flux=False,
@@ -100,20 +104,22 @@ def measure(case):
     }
 
 
-def rounded(light):
-    """(...) float32 with `DIGITS` bits: the rest is noise, and noise cannot be compressed."""
+def rounded(light, digits):
+    """(...) float32 with so many bits: the rest is noise, and noise cannot be compressed."""
     mantissa, exponent = np.frexp(light)
-    return np.ldexp(np.round(mantissa * 2**DIGITS) / 2**DIGITS, exponent).astype(np.float32)
+    return np.ldexp(np.round(mantissa * 2**digits) / 2**digits, exponent).astype(np.float32)
 
 
 def main(names):
-    references = References()
-    for case in [*main_cases(), *refined_cases()]:
-        if case.name in names or not references.holds(case):
-            light, about = measure(case)
-            references.add(case, light, about)
-            references.store()
-            print(f"{case.name}: {about}", flush=True)
+    stores = {"accuracy": (main_cases, refined_cases), "trade": (trade_cases, random_cases)}
+    for name, kinds in stores.items():
+        references = References(name)
+        for case in [case for kind in kinds for case in kind()]:
+            if case.name in names or not references.holds(case):
+                light, about = measure(case)
+                references.add(case, light, about)
+                references.store()
+                print(f"{case.name}: {about}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Speed against accuracy: every dial in every medium, and whether the planner keeps its word.
+
+    python -m tests.benchmarks.trade [dials planner bands]
+
+measures all parts, or those named. Errors are of all light, relative, in L2, against traced photons
+whose own noise is taken out (tests/references/trade.npz, made by `python -m
+tests.benchmarks.references`). Columns:
+
+work          processor seconds, over those of the first solve of the run ("reference"): the default
+              settings in the first medium
+error         relative L2 of all light
+error +-      standard error of that, from the reference's noise
+worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
+              reference's light; noise is in it
+balance       |in - absorbed - out| / in
+"""
+
+import sys
+from dataclasses import replace
+from math import inf, prod
+from time import perf_counter, process_time
+
+import numpy as np
+
+from lb_lighting.errors import LightingError
+from lb_lighting.transport import Medium, Settings, device, paper_units, planner, solve
+from tests.benchmarks.columns import all_light, cropped, imbalance, padded
+from tests.benchmarks.media import SUN, cloud, random_cases, trade_cases
+from tests.benchmarks.references import References
+from tests.benchmarks.table import publish
+
+A_VOXEL = (4, 32, 256)  # photons
+DEFAULT = Settings()
+DIALS = {
+    "resolution": [("8", {"merge": 4}), ("16", {"merge": 2}), ("32", {}), ("64", {"divide": 2})],
+    "tolerance": [(f"{t:g}", {"tolerance": t}) for t in (0.1, 0.01, 0.001)],
+    "handover": [(f"{t:g}", {"handover": t}) for t in (1.0, 2.0, 4.0)],
+    "traced collisions": [("4", {"traced_collisions": 4})],
+    "photons a voxel, T=2": [(f"{n}", {"handover": 2.0, "photons": n}) for n in A_VOXEL],
+    "Monte Carlo, photons a voxel": [(f"{n}", {"handover": inf, "photons": n}) for n in A_VOXEL],
+    "single scattering": [("", {"scattering": "single"})],
+    "16 voxels and photons, T=2": [("64", {"merge": 2, "handover": 2.0})],
+    "model": [("paper, scaled", {"model": "paper"})],
+}
+FINEST = ("cube 8, g 0.85, albedo 0.99", "cloud 20, g 0.85")  # media solved in 128^3 voxels, too
+ENOUGH = 0.5  # processor seconds below which a solve is timed again
+
+
+def settings_of(changes, medium):
+    if "photons" in changes:
+        changes = changes | {"photons": changes["photons"] * prod(medium.shape)}
+    return replace(DEFAULT, **changes)
+
+
+def timed(medium, lights, settings, found):
+    """(Field, processor seconds), of two solves where they are short."""
+    least = inf
+    for _ in range(2):
+        start = process_time()
+        field = solve(medium, lights, settings, found.label)
+        least = min(least, process_time() - start)
+        if least > ENOUGH:
+            break
+    return field, least
+
+
+def lit(case, settings, found):
+    """(Field, processor seconds) of a case, in its own voxels."""
+    if settings.model == "paper":
+        field, seconds = timed(paper_units(padded(case.medium)), case.lights, settings, found)
+        return cropped(field), seconds
+    return timed(case.medium, case.lights, settings, found)
+
+
+def measured(field, reference, scaled=False):
+    light, truth = all_light(field), reference.light
+    if scaled:
+        light = light * float((light * truth).sum() / (light**2).sum())
+    size = np.linalg.norm(truth)
+    raw = float(np.linalg.norm(light - truth) / size)
+    squared = raw**2 - reference.error**2
+    # Of n voxels alike the squared noise is known to sqrt(2/n) of itself, and its product with the
+    # error to 2 error noise / sqrt(n).
+    noise = reference.error / np.sqrt(truth.size)
+    spread = np.hypot(np.sqrt(2) * reference.error * noise, 2 * max(squared, 0) ** 0.5 * noise)
+    error = max(squared, 0.0) ** 0.5
+    largest = np.sort(np.abs(light - truth), axis=None)[-truth.size // 10 :]
+    return {
+        "error": error,
+        "error +-": float(spread / (2 * error) if error > spread**0.5 else spread**0.5),
+        "worst decile": float(largest.mean() / truth.mean()),
+        "balance": imbalance(field),
+        "MiB": field.report.bytes / 2**20,
+        "steps": field.report.steps,
+    }
+
+
+def dials():
+    references, found = References("trade"), device.choose()
+    cases = list(trade_cases())
+    solve(cases[0].medium, cases[0].lights, replace(DEFAULT, handover=1.0))  # programs are ready
+    unit = timed(cases[0].medium, cases[0].lights, DEFAULT, found)[1]
+    for case in cases:
+        ways = [(dial, at, changes) for dial, some in DIALS.items() for at, changes in some]
+        if case.name in FINEST:
+            ways.append(("resolution", "128", {"divide": 4}))
+        for dial, at, changes in ways:
+            row = {"case": case.name, "dial": dial, "at": at}
+            try:
+                field, seconds = lit(case, settings_of(changes, case.medium), found)
+            except LightingError as error:
+                yield row | {"refused": str(error)}
+                continue
+            numbers = measured(field, references[case], scaled="model" in changes)
+            yield row | {"work": seconds / unit} | numbers
+        print(case.name, flush=True)
+
+
+def planned():
+    """Every quality in the media above, and in random ones."""
+    references, found = References("trade"), device.choose()
+    for case in [*trade_cases(), *random_cases()]:
+        for quality, target in planner.TARGETS.items():
+            plan = planner.plan(case.medium, case.lights, quality, found.label)
+            start = perf_counter()
+            field = solve(case.medium, case.lights, plan.settings, found.label)
+            seconds = perf_counter() - start
+            numbers = measured(field, references[case])
+            s = plan.settings
+            yield {
+                "case": case.name,
+                "quality": quality,
+                "chosen": s.scattering if s.scattering == "single" else "lattice",
+                "merge": s.merge,
+                "handover": s.handover,
+                "photons": s.photons or 0,
+                "target": target,
+                "expected": plan.error,
+                "error": numbers["error"],
+                "error +-": numbers["error +-"],
+                "met": numbers["error"] <= target,
+                "planning": plan.spent,
+                "seconds": seconds,
+                "foretold": plan.seconds / seconds,
+            }
+
+
+def kept():
+    rows = list(planned())
+    yield "planner", rows
+    yield "planner-summary", list(summary(rows))
+
+
+def summary(rows):
+    """By quality: how often the target was met, and the time foretold within a factor of two."""
+    for group, chosen in (
+        ("fixed", [row for row in rows if not row["case"].startswith("random")]),
+        ("random", [row for row in rows if row["case"].startswith("random")]),
+    ):
+        for quality in planner.TARGETS:
+            some = [row for row in chosen if row["quality"] == quality]
+            within = [0.5 <= row["foretold"] <= 2 for row in some]
+            yield {
+                "media": group,
+                "quality": quality,
+                "count": len(some),
+                "met": float(np.mean([row["met"] for row in some])),
+                "worst error": max(row["error"] for row in some),
+                "worst in": max(some, key=lambda row: row["error"])["case"],
+                "time within 2x": float(np.mean(within)),
+                "mean seconds": float(np.mean([row["seconds"] for row in some])),
+                "mean planning": float(np.mean([row["planning"] for row in some])),
+            }
+
+
+def bands():
+    """What colour costs, in a cloud: one band, three that are multiples, three that differ."""
+    found, density = device.choose(), cloud(64)
+    unit = None
+    kinds = {
+        "1 band": (0.99, 1.0),
+        "3 bands alike": ((0.99,) * 3, (1.0, 0.8, 0.6)),
+        "3 bands that differ": ((0.99, 0.98, 0.97), (1.0, 0.8, 0.6)),
+    }
+    for name, (albedo, color) in kinds.items():
+        albedo = np.asarray(albedo)
+        medium = Medium(density, 1 / 64, 40 * albedo, 40 * (1 - albedo), 0.5)
+        field, seconds = timed(medium, [replace(SUN, irradiance=color)], DEFAULT, found)
+        unit = unit or seconds
+        yield {"bands": name, "solved": field.report.runs, "work": seconds / unit}
+
+
+PARTS = {
+    "dials": lambda: [("trade", list(dials()))],
+    "planner": kept,
+    "bands": lambda: [("trade-bands", list(bands()))],
+}
+
+
+def main(parts):
+    found = device.choose()
+    for part in parts or PARTS:
+        for name, rows in PARTS[part]():
+            publish(name, found.label, rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

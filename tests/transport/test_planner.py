@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is chosen for an error target; that targets are met is in docs/speed-and-accuracy.md."""
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import pytest
+
+from lb_lighting.errors import Cancelled, DeviceError, LightError, SettingsError
+from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, physical, plan, planner
+from lb_lighting.transport import solve as solve_medium
+from lb_lighting.transport.planner import TARGETS, Pilot
+
+SUN = Sun((0.3, 0.2, -0.93), 1.0)
+
+
+def cube(n=16, depth=8.0, albedo=0.99, g=0.0, **rest):
+    albedo = np.asarray(albedo)
+    sigma_t = depth * np.ones(albedo.shape)
+    return Medium(np.ones((n,) * 3), 1 / n, sigma_t * albedo, sigma_t * (1 - albedo), g, **rest)
+
+
+def error(field, other):
+    a, b = ((f.fluence + f.direct).astype(float) for f in (field, other))
+    return np.linalg.norm(a - b) / np.linalg.norm(b)
+
+
+@pytest.mark.parametrize("quality", TARGETS)
+def test_thin_media_start_no_lattice(quality, monkeypatch):
+    def refuse(*_arguments, **_options):
+        raise AssertionError("a lattice was made")
+
+    monkeypatch.setattr(physical, "lattice_maker", refuse)
+    medium = cube(depth=0.6 * TARGETS[quality])
+    chosen = plan(medium, [SUN], quality)
+    assert chosen.settings.scattering == "single"
+    field = solve_medium(medium, [SUN], chosen.settings)
+    assert field.report.steps == 0
+    assert "No lattice" in chosen.reasons[0]
+
+
+@pytest.mark.parametrize("light", [SUN, Sky(1.0), PointLight((0.5, 0.5, 1.5), 1.0)])
+@pytest.mark.parametrize("depth", [0.02, 0.3, 2.0, 10.0])
+def test_scattered_light_is_no_more_than_was_foretold_of_thin_media(light, depth):
+    """The bound that a lattice is left out by, also where it is not small."""
+    medium = cube(depth=depth, albedo=1.0)
+    field = solve_medium(medium, [light])
+    share = np.linalg.norm(field.fluence) / np.linalg.norm(field.fluence + field.direct)
+    assert share <= planner._most_scattered(medium)
+
+
+def test_dark_media_start_no_lattice():
+    chosen = plan(cube(depth=30, albedo=0.003), [SUN], "draft")
+    assert chosen.settings.scattering == "single"
+
+
+def test_dense_media_start_one_and_say_so():
+    chosen = plan(cube(), [SUN], "draft")
+    assert chosen.settings.scattering == "multiple"
+    assert chosen.error <= chosen.target == TARGETS["draft"]
+    assert chosen.settings.handover == 0
+    assert len(chosen.reasons) == 6
+    assert "No photons" in chosen.reasons[1]
+
+
+def test_better_qualities_take_more_work():
+    plans = [plan(cube(depth=20, g=0.8), [SUN], quality) for quality in TARGETS]
+    errors = [chosen.error for chosen in plans]
+    assert errors == sorted(errors, reverse=True)
+    assert plans[0].settings.handover == 0 < plans[3].settings.handover
+    assert [p.settings.tolerance for p in plans] == [0.2 * t for t in TARGETS.values()]
+
+
+def test_errors_are_seen_as_they_are():
+    """The lattice's own error, of a few photons, beside that of very many."""
+    medium = cube(g=0.85)
+    pilot = planner._fly(medium, [SUN], Settings(), 0.05, None, None, None)
+    lattice = solve_medium(medium, [SUN])
+    truth = solve_medium(medium, [SUN], Settings(handover=inf, photons=4_000_000))
+    # 4000 photons a voxel leave some .4 % of noise.
+    assert pilot.error == pytest.approx(error(lattice, truth), abs=0.012)
+    assert pilot.edge == 16
+
+
+def test_noise_is_foretold():
+    """That of photons alone, which is more than where a lattice takes over."""
+    medium = cube(n=20)
+    pilot = planner._fly(medium, [SUN], Settings(), 0.05, None, None, None)
+    settings = Settings(handover=inf, photons=100_000)
+    first, second = (solve_medium(medium, [SUN], replace(settings, seed=s)) for s in (7, 8))
+    found = error(first, second) / np.sqrt(2)
+    _, foretold = planner._expected_error(settings, pilot, medium, 20, 0.05)
+    assert foretold == pytest.approx(found, rel=0.15)
+
+
+def test_what_is_fixed_is_not_chosen():
+    chosen = plan(cube(), [SUN], "reference", fixed={"merge": 2, "handover": 0.0})
+    assert (chosen.settings.merge, chosen.settings.handover) == (2, 0.0)
+    assert not chosen.meets_target
+    assert "above the target" in chosen.reasons[-1]
+
+
+def test_all_may_be_fixed():
+    by_hand = {"scattering": "multiple", "merge": 1, "handover": 3.0, "photons": 1000}
+    chosen = plan(cube(), [SUN], "final", fixed=by_hand | {"tolerance": 0.1})
+    assert chosen.settings == Settings(handover=3.0, photons=1000, tolerance=0.1)
+    single = plan(cube(), [SUN], fixed={"scattering": "single", "merge": 1, "handover": 0.0})
+    assert single.settings.scattering == "single"
+    assert single.error > 0.5
+
+
+def test_media_that_are_too_dark_for_the_lattice_are_left_to_photons():
+    medium = cube(n=12, depth=400, albedo=0.4)
+    chosen = plan(medium, [SUN], "final")
+    settings = chosen.settings
+    assert settings.scattering == "single" or settings.handover == inf
+    solve_medium(medium, [SUN], settings)
+
+
+def test_little_memory_leads_to_larger_voxels(monkeypatch):
+    def little(shape, settings, *_rest):
+        if settings.merge == 1 and settings.scattering == "multiple":
+            raise DeviceError("too much")
+        return 1
+
+    medium = cube(n=24, depth=30)
+    assert plan(medium, [SUN], "draft").settings.merge == 1
+    monkeypatch.setattr(planner, "require_memory", little)
+    assert plan(medium, [SUN], "draft").settings.merge > 1
+
+
+def test_no_memory_at_all_is_told(monkeypatch):
+    def none(*_arguments):
+        raise DeviceError("Too little memory.")
+
+    monkeypatch.setattr(planner, "require_memory", none)
+    with pytest.raises(DeviceError, match="Too little memory"):
+        plan(cube(), [SUN], "draft")
+
+
+def test_a_box_of_matter_is_told_of():
+    density = np.zeros((32,) * 3)
+    density[12:20, 12:20, 12:20] = 1
+    chosen = plan(Medium(density, 1, 1, 0.01), [SUN], "draft")
+    assert any("covers 5% of the domain" in reason for reason in chosen.reasons)
+
+
+def test_larger_domains_are_foretold_from_small_ones():
+    """Work grows with voxels, and steps at most with their number along an edge."""
+    pilot = Pilot(edge=32, share=0.9, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
+    medium = cube(4)
+    small, large = (planner._expected_seconds(Settings(), pilot, medium, n) for n in (32, 64))
+    assert small == 2
+    assert large == 8 / 4 + 8
+    merged = planner._expected_seconds(Settings(merge=2), pilot, medium, 64)
+    assert merged == small + 2
+
+
+def test_it_can_be_cancelled():
+    with pytest.raises(Cancelled):
+        plan(cube(), [SUN], "final", cancel=lambda: True)
+
+
+def test_unknown_qualities_and_missing_lights_are_refused():
+    with pytest.raises(SettingsError, match="quality"):
+        plan(cube(), [SUN], "best")
+    with pytest.raises(LightError, match="There is no light"):
+        plan(cube(), [], "draft")
+
+
+def test_grey_light_in_a_grey_medium_is_solved_once():
+    medium = cube(albedo=(0.9, 0.9, 0.9))
+    chosen = plan(medium, [SUN], "draft")
+    assert solve_medium(medium, [SUN], chosen.settings).report.runs == 1
+
+
+def test_a_solve_stops_where_it_has_converged():
+    """A black medium scatters nothing: not a step is taken."""
+    assert solve_medium(cube(albedo=0.0), [SUN]).report.steps == 0
