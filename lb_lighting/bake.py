@@ -367,7 +367,8 @@ def _show_volume(context, objects, task, lit, frames):
     _release(context, gone + volume.lost_sources(context.scene), [])
     mode, optics = task.options.mode, lit.optics
     coefficients = optics.sigma_s, optics.sigma_a, optics.g
-    shading.shade_volume(ob, mode, *coefficients, lit.beams, task.options.strength)
+    core = lit.domain.voxel_size
+    shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength)
     volumes = any(source.is_volume for source in task.sources)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes

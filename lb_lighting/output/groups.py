@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node groups `LB Volume Light`, `LB Beam` and `LB Ambient`, made once in a file by code."""
+"""The node groups `LB Volume Light`, `LB Beam`, `LB Lamp` and `LB Ambient`, made by code, once in a
+file."""
 
 import bpy
 
@@ -10,6 +11,7 @@ from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
+LAMP_GROUP = "LB Lamp"
 MADE, VERSION = "lb_lighting_version", 3  # of the groups, raised where one of them changes
 AMBIENT_GROUP = "LB Ambient"
 
@@ -40,6 +42,15 @@ def beam_group():
     direction (X, Y, Z), and cos that of its angle to the way to the eye.
     """
     return our_group(BEAM_GROUP, _build_beam)
+
+
+def lamp_group():
+    """The light of a lamp at the place that is shaded, and the unit vector (X, Y, Z) that it goes.
+
+    That is Intensity times `PointLight.falloff`: with q the distance r or the Core, whichever is
+    more, and h the hypotenuse over q and Radius, (1 + (Peak - 1) (1 - r / q)) 2 / (h (h + q)).
+    """
+    return our_group(LAMP_GROUP, _build_lamp)
 
 
 def ambient_group():
@@ -152,6 +163,44 @@ def _build_beam(tree):
     total = add_vector(tree, "ADD", others, scattered, 800, 0)
     output = add_node(tree, "NodeGroupOutput", 1000, 0)
     tree.links.new(total, output.inputs["Radiance"])
+
+
+def _build_lamp(tree):
+    add_output(tree, "Light", "Vector", "Connect to Light of LB Beam, in W/(m2 sr)")
+    for axis in AXES:
+        add_output(tree, axis, "Float", f"Connect to {axis} of LB Beam")
+    intensity = "What is left of the lamp's light: its grid lb_direct_1, lb_direct_2 ..., in W/sr"
+    add_input(tree, "Intensity", "Vector", intensity, limits=ANY, hidden=True)
+    add_input(tree, "Position", "Vector", "Where the lamp stands, in m", (0, 0, 0))
+    add_input(tree, "Radius", "Float", "The lamp's radius, in m, which softens it", 0.0, ANY)
+    core = "Edge of a voxel, in m; closer to the lamp its light rises in a straight line"
+    add_input(tree, "Core", "Float", core, 0.0, ANY)
+    peak = "To how much it rises at the lamp, over what it is at the edge of the core"
+    add_input(tree, "Peak", "Float", peak, 1.0, ANY)
+    group = add_node(tree, "NodeGroupInput", -1000, 0)
+    intensity, position, radius, core, peak = group.outputs[:5]
+    place = add_node(tree, "ShaderNodeNewGeometry", -1000, -300).outputs["Position"]
+    away = add_vector(tree, "SUBTRACT", place, position, -800, -300)
+    distance = add_vector(tree, "LENGTH", away, (0, 0, 0), -600, -200)
+    toward = add_vector(tree, "NORMALIZE", away, (0, 0, 0), -600, -400)
+    parts = add_node(tree, "ShaderNodeSeparateXYZ", 400, -400)
+    tree.links.new(toward, parts.inputs[0])
+
+    edge = add_math(tree, "MAXIMUM", distance, core, -400, -200)
+    squares = [add_math(tree, "MULTIPLY", v, v, -200, y) for v, y in ((edge, -200), (radius, 0))]
+    slant = add_math(tree, "SQRT", add_math(tree, "ADD", *squares, -100, -100), 0.0, 0, -100)
+    both = add_math(tree, "MULTIPLY", slant, add_math(tree, "ADD", slant, edge, 0, -300), 200, -200)
+    # 1 + (Peak - 1) (1 - r / q) = Peak + (1 - Peak) r / q
+    fall = add_math(tree, "SUBTRACT", 1.0, peak, -400, 200)
+    share = add_math(tree, "DIVIDE", distance, edge, -200, 200)
+    rise = add_math(tree, "ADD", peak, add_math(tree, "MULTIPLY", fall, share, 0, 200), 200, 200)
+    twice = add_math(tree, "MULTIPLY", rise, 2.0, 300, 200)
+    falloff = add_math(tree, "DIVIDE", twice, both, 400, 0)
+    light = add_vector(tree, "SCALE", intensity, falloff, 600, 0)
+    output = add_node(tree, "NodeGroupOutput", 800, 0)
+    tree.links.new(light, output.inputs["Light"])
+    for axis in AXES:
+        tree.links.new(parts.outputs[axis], output.inputs[axis])
 
 
 def _build_ambient(tree):

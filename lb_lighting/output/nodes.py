@@ -67,7 +67,7 @@ def add_vector(tree, operation, a, b, x, y):
     second = node.inputs["Scale"] if operation == "SCALE" else node.inputs[1]
     _feed(tree, node.inputs[0], a)
     _feed(tree, second, b)
-    return node.outputs["Vector"]
+    return node.outputs["Value" if operation == "LENGTH" else "Vector"]
 
 
 def _feed(tree, target, value):

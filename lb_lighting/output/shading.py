@@ -25,6 +25,7 @@ from .groups import (
     VOLUME_GROUP,
     ambient_group,
     beam_group,
+    lamp_group,
     volume_group,
 )
 from .modifier import has_modifier
@@ -101,13 +102,14 @@ def show_source(ob):
     give_back(ob)
 
 
-def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), strength=1.0):
+def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength=1.0):
     """Give the baked Volume object `ob` the material that shows its light.
 
     mode              "REPLACE" or "ADD"
     sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, scalar or (3,)
     g                 mean cosine of the scattering angle, scalar or (3,)
     beams             the `Sun`, `PointLight` or `SpotLight` of each grid `direct_grid(1)` ...
+    core              m, that of the falloff of points and spots: an edge of a voxel
     strength          factor on the light, dimensionless
     """
     material = _volume_material(ob.data)
@@ -122,7 +124,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), strength=1.0):
     inputs["Replace"].default_value = mode == "REPLACE"
     target = inputs["Direct"]
     for number, beam in enumerate(beams, 1):
-        target = _insert_beam(material.node_tree, target, number, beam, _triple(g))
+        target = _insert_beam(material.node_tree, target, number, beam, core, _triple(g))
 
 
 def wire_ambient(material, strength=1.0):
@@ -352,7 +354,7 @@ def _volume_material(volume):
     return material
 
 
-def _insert_beam(tree, target, number, beam, g):
+def _insert_beam(tree, target, number, beam, core, g):
     """Add light number `number`, from 1, to the socket `target`; the socket for the next one."""
     x, y = -250 * number, -300
 
@@ -369,22 +371,23 @@ def _insert_beam(tree, target, number, beam, g):
     node.inputs["G"].default_value = g
     grid = new("ShaderNodeAttribute", 0)
     grid.attribute_name = direct_grid(number)
-    tree.links.new(grid.outputs["Vector"], node.inputs["Light"])
+    light = grid.outputs["Vector"]
     if isinstance(beam, Sun):
         length = math.hypot(*beam.direction)
         for axis, component in zip(AXES, beam.direction, strict=True):
             node.inputs[axis].default_value = (component / length,) * 3
     else:
-        place = new("ShaderNodeNewGeometry", 200)
-        away, toward = new("ShaderNodeVectorMath", 400), new("ShaderNodeVectorMath", 600)
-        away.operation, toward.operation = "SUBTRACT", "NORMALIZE"
-        away.inputs[1].default_value = beam.position
-        parts = new("ShaderNodeSeparateXYZ", 800)
-        tree.links.new(place.outputs["Position"], away.inputs[0])
-        tree.links.new(away.outputs["Vector"], toward.inputs[0])
-        tree.links.new(toward.outputs["Vector"], parts.inputs[0])
+        lamp = new("ShaderNodeGroup", 200)
+        lamp.node_tree = lamp_group()
+        lamp.inputs["Position"].default_value = beam.position
+        lamp.inputs["Radius"].default_value = beam.radius
+        lamp.inputs["Core"].default_value = core
+        lamp.inputs["Peak"].default_value = beam.peak(core)
+        tree.links.new(light, lamp.inputs["Intensity"])
+        light = lamp.outputs["Light"]
         for axis in AXES:
-            tree.links.new(parts.outputs[axis], node.inputs[axis])
+            tree.links.new(lamp.outputs[axis], node.inputs[axis])
+    tree.links.new(light, node.inputs["Light"])
     tree.links.new(node.outputs["Radiance"], target)
     return node.inputs["Others"]
 

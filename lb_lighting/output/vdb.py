@@ -31,14 +31,15 @@ def volume_light(field, lights, mode):
 
     light   (bands, nx, ny, nz) W/(m^2 sr), mean radiance of what comes from many directions
     others  {name of a grid: (bands, nx, ny, nz)}: lb_flux_x ... are the components of the net flux
-            of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance,
-            W/(m^2 sr), of the unscattered light that comes from one direction
+            of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance of the
+            unscattered light that comes from one direction: in W/(m^2 sr) of a sun; in W/sr, over
+            the lamp's falloff with a core of a voxel, of a point or spot
     beams   the Sun, PointLight or SpotLight of each lb_direct
 
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
     Of the paper's field all is shown as if it came evenly from all sides.
     """
-    fluence, flux, beams = field.fluence, field.flux, []
+    fluence, flux, beams, unscattered = field.fluence, field.flux, [], ()
     if field.by_light is None:
         return (fluence + field.direct) / _SPHERE, {}, []
     if mode == "REPLACE":
@@ -53,8 +54,10 @@ def volume_light(field, lights, mode):
             flux = flux + field.direct_flux - own
     drift = _drift(fluence, flux)
     others = {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
-    for number in range(1, len(beams) + 1):
-        others[direct_grid(number)] = unscattered[number - 1] / _SPHERE
+    for number, (beam, own) in enumerate(zip(beams, unscattered, strict=True), 1):
+        # About a lamp light falls off too fast to be read between voxels; what is left is even.
+        steep = 1 if isinstance(beam, Sun) else _falloff(beam, field.domain)
+        others[direct_grid(number)] = own / (_SPHERE * steep)
     return fluence / _SPHERE, others, beams
 
 
@@ -66,6 +69,10 @@ def _toward(light, domain):
         toward = np.moveaxis(domain.centers() - light.position, -1, 0)
     length = np.linalg.norm(toward, axis=0)
     return np.divide(toward, length, out=np.zeros(toward.shape), where=length > 0)
+
+
+def _falloff(lamp, domain):
+    return lamp.mean_falloff(domain, core=domain.voxel_size).astype(np.float32)
 
 
 def _drift(fluence, flux):

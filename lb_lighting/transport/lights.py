@@ -26,7 +26,7 @@ same rays at every call, about per_edge^2 or more of them through each voxel tha
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import ceil, gcd, prod
 
@@ -50,6 +50,9 @@ _MOST_RAYS = 2**22  # of a point light: voxels far away get fewer rays then
 # Of an area light: how many points stand for it at least and at most; and how many times the rays
 # of a point light they have together, for each alone leaves its own pattern.
 _FEWEST_POINTS, _MOST_POINTS, _RAYS_OF_AREA = 16, 2**12, 2
+# Around a lamp: to how many voxels away light is not about that at their centre; points along their
+# edges by which its mean is found there; and the core of a point, in voxels, wide enough for these.
+_NEAR, _FINE, _POINT_CORE = 4, 8, 0.25
 _NO_SLATS = np.pi / 2 - 1e-4  # rad, half the spread from which an area light has no grid
 
 
@@ -236,6 +239,10 @@ class _AtPoint:
 
     Such a light has a `power`, and says by `_relative` how strong it is in directions (n, 3), over
     a point of that power that shines the same everywhere; `_strongest` is the most of that.
+
+    Its `radius` dims it close by: it lights a place as a disk that faces the place, which is the
+    soft falloff of Cycles. Its photons and rays come from a point all the same; `softness` says
+    what share of them counts.
     """
 
     _strongest = 1.0
@@ -280,6 +287,51 @@ class _AtPoint:
     def _relative(self, directions):
         return np.ones(len(directions))
 
+    def falloff(self, distance, core=0.0):
+        """1/m^2, fluence over power / 4 pi, of nothing but distances in m: 1/r^2 for a point.
+
+        core  m, the distance within which it rises in a straight line to a peak that is finite, to
+              the same sum over the core
+        """
+        edge = np.maximum(distance, core)
+        slant = np.hypot(edge, self.radius)
+        falloff = 2 / (slant * (slant + edge))
+        if core > 0:
+            falloff *= 1 + (self.peak(core) - 1) * (1 - distance / edge)
+        return falloff
+
+    def peak(self, core):
+        """What `falloff` with a core is at the lamp, over what it is where the core ends."""
+        if core == 0:
+            return 1.0
+        share = (np.arange(64) + 0.5) / 64
+        within = share**2 * self.falloff(core * share)
+        return 12 * float(np.mean(within) / self.falloff(core)) - 3
+
+    def mean_falloff(self, domain, core=0.0):
+        """(nx, ny, nz) 1/m^2: the mean over each voxel of `falloff`."""
+
+        def falloff(places):
+            return self.falloff(np.linalg.norm(places - self.position, axis=-1), core)
+
+        centers = domain.centers()
+        means = falloff(centers)
+        voxel = np.floor(np.subtract(self.position, domain.origin) / domain.voxel_size)
+        first, last = np.clip([voxel - _NEAR, voxel + _NEAR + 1], 0, domain.shape).astype(int)
+        near = tuple(map(slice, first, last))
+        steps = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * domain.voxel_size
+        inside = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+        means[near] = falloff(centers[near][..., None, :] + inside).mean(axis=-1)
+        return means
+
+    def softness(self, domain):
+        """(nx, ny, nz): the light in each voxel over that of a point; None for a point."""
+        if self.radius == 0:
+            return None
+        point = replace(self, radius=0.0)
+        core = _POINT_CORE * domain.voxel_size
+        return self.mean_falloff(domain) / point.mean_falloff(domain, core)
+
 
 @dataclass(frozen=True)
 class PointLight(_AtPoint):
@@ -287,10 +339,12 @@ class PointLight(_AtPoint):
 
     position  (3,) m
     power     W, scalar or (bands,)
+    radius    m, see `falloff`
     """
 
     position: tuple
     power: tuple | float
+    radius: float = 0.0
 
     def __post_init__(self):
         _check_place(self.position, "point light")
@@ -309,6 +363,7 @@ class SpotLight(_AtPoint):
     blend      0 to 1, how much of the cone its soft edge takes: with c the cosine to the axis and
                h that of half the angle, the light falls off by the smoothstep of
                (c - h) / (blend (1 - h))
+    radius     m, see `falloff`
     """
 
     position: tuple
@@ -316,6 +371,7 @@ class SpotLight(_AtPoint):
     power: tuple | float
     angle: float
     blend: float = 0.0
+    radius: float = 0.0
 
     def __post_init__(self):
         _check_place(self.position, "spot")

@@ -5,6 +5,8 @@ Cycles follows light through 64 scatterings; ours is what a bake of the scene sh
 and without any other factor. Both pictures are of the same camera, and linear.
 """
 
+from itertools import product
+
 import bpy
 import numpy as np
 import openvdb
@@ -17,6 +19,8 @@ from tests.output.rendering import dark_scene, render, silent_stdout
 from tests.scene.test_lights import add_environment, add_mapping
 
 EDGE = 16  # voxels of the cloud, 2 m
+EYE, WIDTH = (0, -8, 4), 2.4  # m, of the camera
+INSIDE = (0.1, 0.05, -0.1)  # m, a place in the cloud
 LIMIT = 0.05  # by which a picture's mean may differ
 # Light of an area counts as a lobe about its mean direction, with all that is scattered: measured
 # 3 % too dark, and 8 % where slats make it a beam.
@@ -31,8 +35,8 @@ def cloud():
     return fading**2 * (1 + 0.5 * np.sin(4 * x + 1) * np.cos(3 * y) + 0.3 * np.sin(5 * z))
 
 
-def add_cloud(folder, **grids):
-    """The cloud as a Volume, with further `grids` of its size."""
+def add_cloud(folder, extinction=5.0, albedo=0.9, **grids):
+    """The cloud as a Volume, with further `grids` of its size; extinction in 1/m at density 1."""
     path, written = folder / "cloud.vdb", []
     for name, values in {"density": cloud(), **grids}.items():
         grid = openvdb.FloatGrid()
@@ -44,7 +48,7 @@ def add_cloud(folder, **grids):
     openvdb.write(str(path), written)
     data = bpy.data.volumes.new("cloud")
     data.filepath = str(path)
-    data.materials.append(scenery.volume_material(5.0, (0.9, 0.9, 0.9), 0.4))
+    data.materials.append(scenery.volume_material(extinction, (albedo,) * 3, 0.4))
     return scenery.link("cloud", data)
 
 
@@ -131,8 +135,8 @@ FIRES = {
 }
 
 
-def pictures(folder, ob, mode="REPLACE", size=16, samples=64):
-    """Cycles' picture of the scene, and ours."""
+def pictures(folder, ob, mode="REPLACE", size=16, samples=64, margin=4):
+    """Cycles' picture of the scene, and ours, whose voxels are `margin` more than the cloud's."""
     scene = bpy.context.scene
     cycles = scene.cycles
     cycles.max_bounces = cycles.volume_bounces = 64
@@ -140,7 +144,9 @@ def pictures(folder, ob, mode="REPLACE", size=16, samples=64):
     cycles.volume_biased = False
     with silent_stdout():
         expected = render(scene, folder / "cycles.exr", size, samples)
-    outcome = scenery.bake_light(ob, resolution=EDGE + 4, folder=str(folder), mode=mode, device="")
+    outcome = scenery.bake_light(
+        ob, resolution=EDGE + margin, folder=str(folder), mode=mode, device=""
+    )
     cycles.volume_bounces = 0  # as users have it
     with silent_stdout():
         found = render(scene, folder / "ours.exr", size, 16 if mode == "REPLACE" else samples)
@@ -150,8 +156,8 @@ def pictures(folder, ob, mode="REPLACE", size=16, samples=64):
 
 def look():
     """A black world, and a camera from the front and above."""
-    eye = Vector((0, -8, 4))
-    return dark_scene(eye, eye.to_track_quat("Z", "Y").to_euler(), width=2.4)
+    eye = Vector(EYE)
+    return dark_scene(eye, eye.to_track_quat("Z", "Y").to_euler(), width=WIDTH)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -162,6 +168,61 @@ def test_level_is_that_of_cycles(light, tmp_path):
     ratio = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
     limit = LIMIT_OF_AREAS if light in (area, disk_with_slats) else LIMIT
     assert ratio == pytest.approx(1, abs=limit)
+
+
+def test_level_of_a_lamp_inside_is_that_of_cycles(tmp_path):
+    """With a radius, for Cycles finds the light of a point inside a medium at no number of samples:
+    the variance is infinite."""
+    look()
+    add_lamp("POINT", INSIDE, energy=300.0, shadow_soft_size=0.1)
+    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path, 2.0), samples=128, margin=8)
+    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT)
+
+
+def density(places):
+    """(...,), that of the cloud at (..., 3) m, read as Cycles does between voxels."""
+    values = np.pad(cloud(), 2)
+    place = np.clip((places + 1) * EDGE / 2 + 1.5, 0, EDGE + 2.99)
+    voxel, rest = place.astype(int), place % 1
+    corners = np.array(list(product((0, 1), repeat=3)))
+    return sum(
+        values[tuple(np.moveaxis(voxel + corner, -1, 0))]
+        * np.prod(np.where(corner, rest, 1 - rest), axis=-1)
+        for corner in corners
+    )
+
+
+def scattered_once(toward, extinction, albedo, g=0.4, power=300.0):
+    """W/(m^2 sr), the picture's mean of the light of a point inside that has scattered once.
+
+    toward  (n, 3), unit vectors spread evenly: along the rays of the lamp there is no peak
+    """
+    eye = np.array(EYE) / np.linalg.norm(EYE)
+    step, total, depth = 0.02, 0.0, 0.0
+    phase = (1 - g**2) / (1 + g**2 - 2 * g * toward @ eye) ** 1.5 / (4 * np.pi)
+    for distance in np.arange(step / 2, 2.4, step):
+        place = INSIDE + distance * toward
+        own = extinction * density(place)
+        ahead = density(place + np.arange(0.05, 2.6, 0.1)[:, None, None] * eye).sum(axis=0)
+        through = np.exp(-depth - own * step / 2 - 0.1 * extinction * ahead)
+        total += albedo * power * step * np.mean(own * through * phase)
+        depth = depth + own * step
+    return total / WIDTH**2
+
+
+def test_a_point_inside_is_as_bright_as_its_integral(tmp_path):
+    """Of a medium so dark that light scatters once."""
+    height = 1 - 2 * (np.arange(300) + 0.5) / 300
+    turn, radius = 2.399963 * np.arange(300), np.sqrt(1 - height**2)
+    sphere = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    scene = look()
+    add_lamp("POINT", INSIDE, energy=300.0, shadow_soft_size=0.0)
+    ob = add_cloud(tmp_path, 5.0, 0.001)
+    scenery.bake_light(ob, resolution=EDGE + 8, folder=str(tmp_path), mode="REPLACE", device="")
+    with silent_stdout():
+        found = render(scene, tmp_path / "ours.exr", 16, 64)
+    restore_scene(scene)
+    assert found.mean() == pytest.approx(scattered_once(sphere, 5.0, 0.001), rel=LIMIT)
 
 
 @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])

@@ -130,12 +130,12 @@ BEAMS = {
 
 
 def unscattered(beam):
-    """(3, nx, ny, nz) W/(m^2 sr), mean radiance of a light that meets nothing."""
+    """(3, nx, ny, nz): the grid of a light that meets nothing: W/(m^2 sr) of a sun, else W/sr."""
     if isinstance(beam, Sun):
         light = np.ones(BOX.shape)
     else:
         way = BOX.centers() - beam.position
-        light = 1 / (4 * np.pi * np.sum(way**2, axis=-1))
+        light = np.full(BOX.shape, 1 / (4 * np.pi))
     if isinstance(beam, SpotLight):
         cosine = (
             way @ beam.direction / np.linalg.norm(beam.direction) / np.linalg.norm(way, axis=-1)

@@ -124,7 +124,11 @@ class TestVolumeLight:
         assert beams == [self.LIGHTS[0], self.LIGHTS[2]]
         assert others.keys() == {*FLUX, "lb_direct_1", "lb_direct_2"}
         assert others["lb_direct_1"] == self.radiance(2.1)
-        assert others["lb_direct_2"] == self.radiance(4.1)
+        squares = np.sum(
+            (Domain((0, 0, 0), 1.0, self.SHAPE[1:]).centers() - (0, 0, 9)) ** 2, axis=-1
+        )
+        expected = np.broadcast_to(4.1 / (4 * np.pi) * squares, self.SHAPE)
+        assert others["lb_direct_2"] == pytest.approx(expected, rel=0.01)
         assert others["lb_flux_z"] == pytest.approx(np.full(self.SHAPE, -0.5 / 4.6), rel=1e-6)
         assert not others["lb_flux_x"].any()
 

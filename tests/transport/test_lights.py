@@ -340,6 +340,34 @@ def test_point_outside_sends_a_cone_around_the_bounding_sphere():
         assert power.sum() == pytest.approx(sine**2 / (1 + np.sqrt(1 - sine**2)) / 2, rel=1e-6)
 
 
+@pytest.mark.parametrize("distance", [0.1, 0.5, 3.0])
+def test_a_soft_lamp_lights_as_a_disk_that_faces_the_place(distance):
+    """Of even radiance, so by the cosine at the disk; the means of rings of the same area."""
+    radius, count = 0.5, 10_000
+    squares = distance**2 + radius**2 * (np.arange(count) + 0.5) / count
+    expected = np.mean(distance / squares**1.5)
+    assert PointLight((0, 0, 0), 1.0, radius).falloff(distance) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.1, 2.0])
+def test_a_core_is_finite_and_keeps_the_light(radius):
+    lamp, core = PointLight((0, 0, 0), 1.0, radius), 0.3
+    distance = (np.arange(1000) + 0.5) / 1000 * core
+    found, expected = (np.mean(distance**2 * lamp.falloff(distance, c)) for c in (core, 0.0))
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert lamp.falloff(1e-9, core) == pytest.approx(lamp.peak(core) * lamp.falloff(core))
+    assert lamp.falloff(0.4, core) == lamp.falloff(0.4)
+
+
+def test_the_mean_falloff_is_that_of_points_in_each_voxel():
+    lamp = PointLight(tuple(LOWER + 0.3 * SIZE), 1.0)
+    found = lamp.mean_falloff(MEDIUM.domain, core=0.5)
+    points = np.random.default_rng(3).uniform(-0.25, 0.25, (4000, 3))
+    places = MEDIUM.domain.centers()[..., None, :] + points - lamp.position
+    expected = lamp.falloff(np.linalg.norm(places, axis=-1), 0.5).mean(axis=-1)
+    assert found == pytest.approx(expected, rel=0.05)
+
+
 def total_of(light):
     """W that reach the box, photons counted that cross its bounding sphere."""
     return np.mean([emitted(light, seed=seed)[2].sum() for seed in range(20)])
