@@ -56,12 +56,15 @@ def _lamp(lamp, matrix):
     if lamp.type == "AREA":
         return _area_light(lamp, place, x, y, strength)
     power = _scalar_if_grey(strength * _sphere(lamp))
+    # Without the soft falloff it is a sphere, which shines about as a point does.
+    radius = lamp.shadow_soft_size if lamp.use_soft_falloff else 0.0
     if lamp.type == "POINT":
-        return PointLight(place, power)
+        return PointLight(place, power, radius)
     # The cone is stretched with the lamp.
     wide = np.sqrt(np.linalg.norm(x) * np.linalg.norm(y)) / np.linalg.norm(z)
     angle = 2 * np.arctan(wide * np.tan(min(lamp.spot_size, np.pi - _NARROWEST) / 2))
-    return SpotLight(place, tuple(-z), power, max(float(angle), _NARROWEST), lamp.spot_blend)
+    angle = max(float(angle), _NARROWEST)
+    return SpotLight(place, tuple(-z), power, angle, lamp.spot_blend, radius)
 
 
 def _area_light(lamp, place, x, y, strength):

@@ -143,7 +143,9 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
         # What rays gathered is a little off the whole, which is known.
         entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
         unit = entered / sums[_EMITTED]
-    return _cast(medium, box, sigma_t, unit, scores, entered)
+    found = _cast(medium, box, sigma_t, unit, scores, entered)
+    softness = light.softness(medium.domain) if hasattr(light, "softness") else None
+    return found if softness is None else _softened(found, box, softness.astype(np.float32))
 
 
 def plan(shape, occluded=True):
@@ -295,6 +297,17 @@ def _cast(medium, box, sigma_t, unit, scores, entered):
         reflected = (unit * box.of(reflected).astype(float)).astype(np.float32)
     left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
     return Cast(direct, flowing, collided, reflected, left, stopped, entered)
+
+
+def _softened(cast, box, softness):
+    """Of a `Cast` of a point the share, (nx, ny, nz), that a lamp sends; the rest never was."""
+    cast.direct *= softness
+    cast.flux *= softness
+    collided, softness = cast.collided, box.of(softness)
+    cast.entered -= float(np.sum(collided.power * (1 - softness), dtype=float))
+    for moments in (collided.power, collided.position, collided.direction):
+        moments *= softness
+    return cast
 
 
 def _product(factor, values):

@@ -113,6 +113,12 @@ def _lattice_class(device):
     return OpenCLLattice
 
 
+def _stands_within(light, domain):
+    return bool(
+        np.all((light.position >= np.array(domain.origin)) & (light.position <= domain.upper))
+    )
+
+
 def _refuse_unfit(medium, lights):
     for light in lights:
         shadow = getattr(light, "shadow_density", None)
@@ -414,7 +420,9 @@ class _Work:
         unscattered  the cast in which it does not, where there is one
         """
         albedo, g = medium.albedo[band], medium.g[band]
-        forward = max(g, 0.0) ** 2
+        # A soft lamp dims what comes from it, not what goes on from a collision beside it.
+        soft = getattr(light, "radius", 0) > 0 and _stands_within(light, medium.domain)
+        forward = 0.0 if soft else max(g, 0.0) ** 2
         cast = unscattered
         if forward > 0 or cast is None:
             less = medium.sigma_t[band] - forward * medium.sigma_s[band]

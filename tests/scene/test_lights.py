@@ -232,6 +232,12 @@ class TestPoints:
         add_lamp("POINT", (0.5, 0, 0), energy=10.0).parent = parent
         assert lights() == [PointLight((1.5, 2, 3), 10.0)]
 
+    def test_its_radius_counts_where_its_falloff_is_soft(self):
+        for kind in ("POINT", "SPOT"):
+            add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25)
+            add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25, use_soft_falloff=False)
+        assert [lamp.radius for lamp in lights()] == [0.25, 0.0] * 2
+
 
 def falloff(cosine, angle, blend):
     """Of a spot, (n,): the smoothstep between the cone's edge and its soft edge's."""

@@ -37,6 +37,7 @@ LIGHTS = {
     "sky": Sky(0.1),
     "sky by direction": Sky(lambda towards: np.maximum(towards[..., 2], 0)),
     "point inside": PointLight((-0.5, 0.33, 2.2), 3.0),
+    "soft point inside": PointLight((-0.5, 0.33, 2.2), 3.0, 0.3),
     "point outside": PointLight((-5, 3, 2.2), 3.0),
     "spot": SpotLight((-5, 3, 2.2), (1, -0.55, 0), 3.0, 0.25, 0.6),
     "area": AreaLight((-0.5, 0.6, 3.7), (1, 0, 0), (0, -0.8, 0.2), 3.0),
@@ -153,6 +154,19 @@ def test_a_point_light_falls_off_by_the_square_and_by_absorption(position, sigma
     assert flux == pytest.approx(result.direct[far], rel=5e-2)  # all of it flows outwards
     assert np.sqrt((error**2).mean()) < 3e-3
     assert np.abs(error).max() < 2.5e-2
+
+
+@on_opencl
+def test_a_soft_lamp_is_a_point_dimmed_close_by(device):
+    medium, position = Medium(np.ones((12, 12, 12)), 0.1, 1, 0), (0.62, 0.57, 0.61)
+    soft, point = (cast(medium, PointLight(position, 2.0, r), 0, 1.0, device) for r in (0.3, 0.0))
+    distance = np.linalg.norm(medium.domain.centers() - position, axis=-1)
+    share = 2 * (distance / 0.3) ** 2 * (1 - distance / np.hypot(distance, 0.3))
+    far = distance > 0.25  # where a voxel is about its centre
+    assert (soft.direct / point.direct)[far] == pytest.approx(share[far], rel=0.03)
+    for what in ("power", "position", "direction"):
+        dimmed = getattr(soft.collided, what) / (soft.direct / point.direct)
+        assert dimmed == pytest.approx(getattr(point.collided, what), rel=1e-4, abs=1e-9)
 
 
 @on_opencl
