@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs tasks in a process of its own, so that no driver can take Blender down with it."""
+"""Runs tasks in a process of its own, so that no driver can take Blender down with it.
+
+Tasks are written down, and results read, by threads: that takes long for large scenes, and Blender
+is free meanwhile.
+"""
 
 import contextlib
 import importlib.util
@@ -15,7 +19,7 @@ from pathlib import Path
 
 from . import errors, exchange
 from .tasks.devices import Devices
-from .worker import RESULT, TASK, remove_scraps
+from .worker import GO, RESULT, TASK, remove_scraps
 
 PATIENCE = 600.0  # s of silence, after which the worker is taken to hang
 _PACKAGE = Path(__file__).parent
@@ -29,19 +33,13 @@ class Job:
     """
 
     def __init__(self, task):
-        """Start `task`, see worker.py; OutputError where it cannot be written down."""
+        """Start `task`, see worker.py; it must not be changed from now on."""
         self.task = task
         self.said = {}
+        self._result = None
         self.folder = tempfile.TemporaryDirectory(prefix="lb_lighting_", ignore_cleanup_errors=True)
         self._chatter = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process
         self._started = self._heard = time.monotonic()
-        try:
-            exchange.save(self._path(TASK), task)
-        except OSError as error:
-            raise errors.OutputError(
-                f"The temporary folder {self.folder.name} cannot take the scene "
-                f"({error.strerror}); free some space there."
-            ) from error
         self._process = subprocess.Popen(
             # Without the folder that Blender was started in, where anything may lie.
             [sys.executable, "-P", "-m", f"{_PACKAGE.name}.worker", self.folder.name],
@@ -52,13 +50,16 @@ class Job:
             text=True,
         )
         self._inbox = queue.SimpleQueue()
+        self._feeder = threading.Thread(target=self._feed, daemon=True)
+        self._feeder.start()
         threading.Thread(target=self._listen, daemon=True).start()
 
     def update(self, wait=0.0):
         """Take in what the worker said, waiting up to `wait` s for it; whether it is done.
 
-        Raises what the worker raised, or SolverError if it died or has been silent for too long;
-        then it is ended, and its files are gone.
+        Raises what the worker raised, OutputError where the task cannot be written down, or
+        SolverError if the worker died or has been silent for too long; then it is ended, and its
+        files are gone.
         """
         try:
             while True:
@@ -81,7 +82,7 @@ class Job:
 
     def result(self):
         """What the task returned, once `update` says that it is done."""
-        return exchange.load(self._path(RESULT))
+        return self._result
 
     def wait(self, progress=None):
         """Wait for the end; what the task returned. Raises as `update` does.
@@ -116,14 +117,39 @@ class Job:
     def _path(self, name):
         return Path(self.folder.name, name)
 
+    def _feed(self):
+        """Write the task down, and let the worker have it."""
+        try:
+            exchange.save(self._path(TASK), self.task)
+        except OSError as error:
+            self._inbox.put(
+                errors.OutputError(
+                    f"The temporary folder {self.folder.name} cannot take the scene "
+                    f"({error.strerror}); free some space there."
+                )
+            )
+        except Exception as error:  # a defect, for whoever waits
+            self._inbox.put(error)
+        else:
+            with contextlib.suppress(OSError):  # it died before
+                os.write(self._process.stdin.fileno(), GO)
+
     def _listen(self):
-        with contextlib.suppress(ValueError):  # the pipe was closed
-            for line in self._process.stdout:
-                self._inbox.put(json.loads(line))
+        """Hear the worker out, and read its result."""
+        try:
+            with contextlib.suppress(ValueError):  # it died in the middle of a word
+                for line in self._process.stdout:
+                    self._inbox.put(json.loads(line))
+            if self._process.wait() == 0:
+                self._result = exchange.load(self._path(RESULT))
+        except Exception as error:  # a defect, or the job was cancelled, and nobody waits
+            self._inbox.put(error)
         self._inbox.put(_END)
 
     def _take(self, message):
         self._heard = time.monotonic()
+        if isinstance(message, Exception):
+            raise message
         if "error" in message:
             raise getattr(errors, message["error"])(message["text"])
         self.said |= message
@@ -140,6 +166,7 @@ class Job:
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
+        self._feeder.join()
         self._process.stdin.close()
         self._chatter.close()
 

@@ -3,11 +3,11 @@
 
     python -m lb_lighting.worker FOLDER
 
-The folder holds a task, any object with a method `run(tell, folder)`; what that returns is kept
-beside it. It talks on stdout, one JSON object a line: what the task tells, such as {"stage",
-"fraction"}, and {"error": kind, "text": sentence} where it cannot. A driver that prints to stdout
-does no harm: the messages go to a copy of it, and the rest to stderr. It ends when stdin does, for
-then whoever waits for it is gone.
+The folder holds a task, any object with a method `run(tell, folder)`, once GO comes on stdin; what
+that returns is kept beside it. It talks on stdout, one JSON object a line: what the task tells,
+such as {"stage", "fraction"}, and {"error": kind, "text": sentence} where it cannot. A driver that
+prints to stdout does no harm: the messages go to a copy of it, and the rest to stderr. It ends when
+stdin does, for then whoever waits for it is gone.
 """
 
 import json
@@ -20,6 +20,7 @@ from . import exchange
 from .errors import DeviceError, LightingError, OutputError
 
 TASK, RESULT = "task", "result"
+GO = b"\n"
 
 
 def main(folder):
@@ -34,6 +35,8 @@ def main(folder):
         tell(error=error.__name__, text=text)
         return 1
 
+    if not os.read(0, len(GO)):
+        return 1
     task = exchange.load(folder / TASK)
     threading.Thread(target=_leave_with_parent, args=(task,), daemon=True).start()
     try:

@@ -104,6 +104,39 @@ def test_a_full_disk_is_one_sentence():
         Job(Fail(OSError(28, "No space left"))).wait()
 
 
+def test_a_scene_that_cannot_be_written_down_is_one_sentence(processes, monkeypatch):
+    def save(_path, _thing):
+        raise OSError(28, "No space left")
+
+    monkeypatch.setattr(exchange, "save", save)
+    sentence = r"^The temporary folder .* cannot take the scene \(No space left\); free some"
+    with pytest.raises(OutputError, match=sentence):
+        Job(Idle()).wait()
+    assert processes[0].poll() is not None
+
+
+def test_a_task_that_cannot_be_written_down_is_a_defect(processes):
+    with pytest.raises(AttributeError, match="lambda"):
+        Job(Fail(lambda: None)).wait()
+    assert processes[0].poll() is not None
+
+
+def test_cancel_before_the_task_is_written_down(processes, monkeypatch):
+    """Nothing is left of a folder that is written to while it goes."""
+    save = exchange.save
+
+    def slow(path, thing):
+        time.sleep(0.3)
+        save(path, thing)
+
+    monkeypatch.setattr(exchange, "save", slow)
+    running = Job(Idle())
+    folder = running.folder.name
+    running.cancel()
+    assert processes[0].poll() is not None
+    assert not job.Path(folder).exists()
+
+
 def test_a_killed_process_is_one_sentence(processes):
     running = Job(Idle())
     with pytest.raises(SolverError) as caught:

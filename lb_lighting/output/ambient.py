@@ -19,21 +19,19 @@ LEAST_OPEN = 1e-3  # share of the voxels around a point, below which it is dark
 class Vertices:
     """The vertices of a surface that is to show light.
 
-    points   (n, 3) m, in the space of its object
-    normals  (n, 3), likewise
-    to_world (4, 4), from there to world space
+    mesh     `Mesh`, see scene/meshes.py
+    to_world (4, 4), from its space to world space
     is_body  whether it is filled with light: both sides show what comes out of it
     is_wall  whether it stops all light: its two sides are lit apart from each other
     """
 
-    points: np.ndarray
-    normals: np.ndarray
+    mesh: object
     to_world: np.ndarray
     is_body: bool = False
     is_wall: bool = False
 
     def light(self, field, occlusion=None):
-        """(2, n, bands): irradiance / pi of the front and of the back, W/(m^2 sr).
+        """(2, n, 4) float32: irradiance / pi of the front and of the back, W/(m^2 sr), alpha 1.
 
         field      a `Field`: its fluence and flux are what shows; unscattered light is Cycles' own
         occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
@@ -45,7 +43,9 @@ class Vertices:
             off = STAND_OFF * field.domain.voxel_size * normals
             front, _ = irradiance(field, points + off, normals, occlusion)
             _, back = irradiance(field, points - off, normals, occlusion)
-        return np.array((back, back) if self.is_body else (front, back)) / np.pi
+        colors = np.ones((2, len(points), 4), np.float32)
+        colors[..., :3] = np.divide((back, back) if self.is_body else (front, back), np.pi)
+        return colors
 
     def _in_world(self):
         """(points (n, 3) m, unit normals (n, 3)) in world space."""
@@ -54,10 +54,10 @@ class Vertices:
         cofactors = np.cross(np.roll(turn, -1, axis=0), np.roll(turn, -2, axis=0))
         # Cycles keeps the front of what is mirrored.
         cofactors *= np.copysign(1, np.linalg.det(turn))
-        normals = self.normals @ cofactors.T
+        normals = self.mesh.normals @ cofactors.T
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals /= np.maximum(length, np.finfo(float).tiny)
-        return self.points @ turn.T + self.to_world[:3, 3], normals
+        return self.mesh.points @ turn.T + self.to_world[:3, 3], normals
 
 
 def irradiance(field, points, normals, occlusion=None):

@@ -32,7 +32,7 @@ def write_ambient(objects, sides):
             raise OutputError(f"The mesh of {ob.name} was changed while it was lit; bake it again.")
         sharers.setdefault(ob.data, []).append(light)
     for mesh, lights in sharers.items():
-        both = np.mean(lights, axis=0)
+        both = lights[0] if len(lights) == 1 else np.mean(lights, axis=0)
         for name, light in zip((AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), both, strict=True):
             _store(mesh, name, light)
 
@@ -61,10 +61,8 @@ def refuse_unwritable(objects):
 
 
 def _store(mesh, name, light):
-    """light  (vertices, 1 or 3) W/(m^2 sr)."""
-    colors = np.ones((len(mesh.vertices), 4), np.float32)
-    colors[:, :3] = light
-    _new_attribute(mesh, name).data.foreach_set("color", colors.ravel())
+    """light  (vertices, 4) float32, W/(m^2 sr)."""
+    _new_attribute(mesh, name).data.foreach_set("color", light.ravel())
     mesh.update_tag()
 
 

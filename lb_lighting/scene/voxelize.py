@@ -28,33 +28,15 @@ BEHIND = 1e-4  # voxels: how far behind its front a sheet is put, where two voxe
 
 
 @dataclass(frozen=True)
-class Shape:
-    """The triangles of a mesh in its own space.
-
-    points   (n, 3) m, float32
-    corners  (m, 3), the points of each triangle
-    slot     (m,), the material slot of each
-    """
-
-    points: np.ndarray
-    corners: np.ndarray
-    slot: np.ndarray
-
-    @cached_property
-    def closed(self):
-        """(m,) bool: is the triangle of a surface with small holes at most?"""
-        return _closed(self.points.astype(float), self.corners)
-
-
-@dataclass(frozen=True)
 class Faces:
-    """The triangles of one slot of a shape, where an object has them in the world.
+    """The triangles of one slot of a mesh, where an object has them in the world.
 
-    matrices  (k, 4, 4), the shape's space to world space, for each time that it is there
+    mesh      a `Mesh`, see meshes.py
+    matrices  (k, 4, 4), the mesh's space to world space, for each time that it is there
     name      of the object
     """
 
-    shape: Shape
+    mesh: object
     slot: int
     matrices: np.ndarray
     name: str
@@ -65,13 +47,13 @@ class Faces:
 
         Raises SceneError for vertices that are not finite.
         """
-        own = self.shape.points[self.shape.corners[self._own]].astype(float)
+        own = self.mesh.points[self.mesh.corners[self._own]].astype(float)
         return _placed(own, self.matrices, self.name)
 
     @cached_property
     def closed(self):
-        """(n,) bool, see `Shape`."""
-        return np.tile(self.shape.closed[self._own], len(self.matrices))
+        """(n,) bool, see `closed_triangles`."""
+        return np.tile(self.mesh.closed[self._own], len(self.matrices))
 
     @property
     def area(self):
@@ -80,7 +62,7 @@ class Faces:
 
     @property
     def _own(self):
-        return self.shape.slot == self.slot
+        return self.mesh.slot == self.slot
 
 
 def world_bounds(faces):
@@ -145,7 +127,7 @@ def opaque_share(triangles, closed, domain):
     """(nx, ny, nz), 0 to 1: the share of the light that comes to a voxel which the surface stops.
 
     triangles  (n, 3, 3) m, world space
-    closed     (n,) bool, see `Shape`
+    closed     (n,) bool, see `closed_triangles`
 
     It is at least the share of the voxel inside of closed bodies. Where one is much thinner than a
     voxel, a surface S shows S/4 on average of the 6 h^2/4 that the voxel shows. An open sheet
@@ -195,9 +177,10 @@ def _enclosed_fraction(triangles, domain):
     return None
 
 
-def _closed(points, corners):
-    """(n,) bool: what `Shape` calls closed, of triangles between points (vertices, 3) m.
+def closed_triangles(points, corners):
+    """(n,) bool: is each of a surface with small holes at most?
 
+    points   (vertices, 3) m
     corners  (n, 3), the vertices of each triangle
     """
     low, high = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).T

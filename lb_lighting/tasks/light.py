@@ -49,7 +49,7 @@ class Lit:
     plan     the `Plan` that it was solved by, or None where there was none
     beams    the `Sun`, `PointLight` or `SpotLight` of each grid of unscattered light in the file
     optics   what the lit volume renders at density 1
-    ambient  {number of the source: (2, vertices, bands) W/(m^2 sr)}, see output/ambient.py
+    ambient  {number of the source: what `Vertices.light` returns}
     notes    sentences that the user should read
     """
 
