@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene.emission import BlackBody, Glow, shining, volume_glows
+from lb_lighting.scene.emission import BlackBody, Glow, black_body_color, shining, volume_glows
 from lb_lighting.scene.volumes import Cells
 from lb_lighting.transport.medium import Domain
 from tests import scenery
@@ -86,6 +86,18 @@ def test_a_black_body_is_as_bright_as_its_law_says(kelvin):
     assert np.all(np.diff(radiance) < 0) == (kelvin < 6500)
 
 
+def test_a_black_bodys_color_is_blenders():
+    """The colour that a lamp has by its temperature; beyond what Blender knows, at its ends."""
+    lamp = bpy.data.lights.new("lamp", "POINT")
+    lamp.use_temperature = True
+    temperatures, expected = np.geomspace(800, 12000, 300), []
+    for lamp.temperature in temperatures:
+        expected.append(tuple(lamp.temperature_color))
+    assert black_body_color(temperatures) == pytest.approx(np.array(expected), abs=2e-3)
+    for kelvin, end in ((0.0, expected[0]), (20000.0, expected[-1])):
+        assert black_body_color(kelvin) == pytest.approx(end, abs=2e-3)
+
+
 def test_a_black_bodys_settings():
     assert black(Temperature=2000.0).temperature == 2000
     assert black(Temperature_Attribute="heat").grids == ["heat"]
@@ -99,10 +111,23 @@ def test_a_black_bodys_settings():
         volume_glows(principled(Blackbody_Intensity=1.0, Temperature="heat"))
 
 
-def test_reading_leaves_nothing_behind():
-    before = len(bpy.data.lights)
-    black()
-    assert len(bpy.data.lights) == before
+def test_reading_tells_nobody_of_a_change():
+    """Which would end a preview."""
+    material = principled(Blackbody_Intensity=1.0)
+    bpy.context.evaluated_depsgraph_get().update()
+    told = []
+
+    def tell(_scene, depsgraph):
+        told.extend(depsgraph.updates)
+
+    bpy.app.handlers.depsgraph_update_post.append(tell)
+    try:
+        assert volume_glows(material)
+        bpy.context.view_layer.update()
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(tell)
+    assert told == []
+    assert not bpy.data.lights
 
 
 def test_power_is_kept_on_the_way_to_the_lattice():
