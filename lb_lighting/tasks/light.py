@@ -187,17 +187,25 @@ class Light:
             )
         return domain
 
-    def solve(self, problem, settings, progress=None):
+    def solve(self, problem, settings, progress=None, residual=None):
         """The `Field` of a `Problem`, by the model and on the device that were chosen."""
         is_paper = self.options.model == "paper"
         medium = paper_units(problem.medium) if is_paper else problem.medium
-        return solve(medium, problem.lights, settings, self.options.device or None, progress)
+        device, told = self.options.device or None, {"progress": progress, "residual": residual}
+        return solve(medium, problem.lights, settings, device, **told)
 
     def _solve(self, problem, settings, tell):
-        def progress(_stage, fraction):
-            tell(stage="Solving", fraction=SOLVE + (WRITE - SOLVE) * fraction)
+        stage = "Solving"
 
-        field = self.solve(problem, settings, progress)
+        def residual(error):
+            nonlocal stage
+            known = error < 1  # not at the first looks
+            stage = f"Solving (residual {error:.1%})" if known else "Solving"
+
+        def progress(_stage, fraction):
+            tell(stage=stage, fraction=SOLVE + (WRITE - SOLVE) * fraction)
+
+        field = self.solve(problem, settings, progress, residual)
         if not field.report.converged:
             self.reader.notes.append(
                 f"The light had not settled after {field.report.steps} steps and may be too dark; "

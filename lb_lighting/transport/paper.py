@@ -15,7 +15,7 @@ from .paper_numpy import PaperReference
 _REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
 
 
-def solve(medium, lights, settings, device, clock, needed, progress, cancel):
+def solve(medium, lights, settings, device, clock, needed, progress, cancel, _residual):
     """`solver.solve` by the paper's model; needed is the memory that it takes, bytes."""
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)

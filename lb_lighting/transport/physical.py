@@ -34,11 +34,11 @@ _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is ra
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 
 
-def solve(medium, lights, settings, device, clock, needed, progress, cancel):
+def solve(medium, lights, settings, device, clock, needed, progress, cancel, residual):
     """`solver.solve` by the physical model; needed is the memory that it takes, bytes."""
     lights = list(lights)
     _refuse_unfit(medium, lights)
-    work = _Work(settings, device, clock, progress, cancel)
+    work = _Work(settings, device, clock, progress, cancel, residual)
     pieces = settings.merge
     if pieces == 1 or medium.shift is not None or settings.scattering == "single":
         field = _lit(medium, lights, work, needed)
@@ -256,6 +256,7 @@ class _Work:
     clock: object
     progress: object
     cancel: object
+    residual: object
     begun: float = 0.0  # the share of all work before the band at hand
     share: float = 1.0  # and that of this band
 
@@ -464,6 +465,8 @@ class _Work:
     def _tell_error(self, error):
         if self.cancel is not None and self.cancel():
             raise Cancelled("Cancelled; nothing was changed.")
+        if self.residual is not None:
+            self.residual(error)
         tolerance = self.settings.tolerance
         reached = np.log(max(error, tolerance)) / np.log(tolerance)
         self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))

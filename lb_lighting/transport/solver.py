@@ -88,7 +88,7 @@ class Settings:
                 require_whole(value, what, 1, highest)
 
 
-def solve(medium, lights, settings=None, device=None, progress=None, cancel=None):
+def solve(medium, lights, settings=None, device=None, progress=None, cancel=None, residual=None):
     """Light a medium.
 
     medium    a `Medium`. For the paper's model it has at least 3 voxels along each edge; the
@@ -99,6 +99,8 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     device    None for the best, or part of the label of one of `device.devices()`
     progress  called as progress(stage, fraction) with fraction from 0 to 1
     cancel    called without arguments; the solve ends with `Cancelled` where it returns true
+    residual  called as residual(error) while light settles, with the estimate of its relative
+              error, before the progress that this is; not by the paper's model
     Returns a `Field` in W/m^2. Raises MediumError, LightError, SettingsError or DeviceError.
     Source: paper 1, section 3; docs/physics.md for the physical model.
     """
@@ -109,7 +111,8 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
         lights, occluded = list(lights), medium.occlusion is not None
         needed = require_memory(medium.shape, settings, used, medium.bands, occluded, len(lights))
     model = MODELS[settings.model]
-    return model.solve(medium, lights, settings, used, clock, needed, progress, cancel)
+    told = progress, cancel, residual
+    return model.solve(medium, lights, settings, used, clock, needed, *told)
 
 
 def require_memory(shape, settings=None, device=None, bands=3, occluded=True, lights=4):

@@ -477,3 +477,29 @@ def test_a_suns_own_shadow_density_replaces_the_mediums():
 def test_bad_settings_are_refused(settings):
     with pytest.raises(SettingsError):
         Settings(**settings)
+
+
+def test_the_residual_is_told_while_light_settles():
+    told = []
+    medium = Medium(np.ones((12, 12, 12)), 1.0, 0.5, 0.01)
+    settings = Settings(tolerance=1e-3)
+    field = solve(
+        medium,
+        [Sun((0, 0, -1), 1.0)],
+        settings,
+        "NumPy",
+        progress=lambda stage, fraction: told.append((stage, fraction)),
+        residual=lambda error: told.append(error),
+    )
+    errors = [error for error in told if isinstance(error, float)]
+    assert errors[0] == 1
+    assert all(np.diff(errors) <= 0)
+    assert field.report.residual <= settings.tolerance < errors[-1] < 0.2
+    assert all(told[told.index(error) + 1][0] == "solve" for error in errors)
+
+
+def test_the_papers_model_has_no_residual_to_tell():
+    told = []
+    medium = Medium(np.ones((6, 6, 6)), 1.0, 0.5, 0.01)
+    solve(medium, [Sun((0, 0, -1), 1.0)], Settings("paper"), "NumPy", residual=told.append)
+    assert told == []
