@@ -132,18 +132,23 @@ def unfinished(path):
 
 def read_metadata(path):
     """{name: value} that `write_vdb` stamped on the file at `path`; OutputError if it did not."""
-    if not is_baked_file(path):
+    found = _metadata(path)
+    if found.get("creator") != CREATOR:
         raise OutputError(f"{path} was not written by LB Lighting; bake it again.")
-    found = openvdb.readMetadata(str(path))
     return {key.removeprefix(STAMP): found[key] for key in found if key.startswith(STAMP)}
 
 
 def is_baked_file(path):
     """True if `path` is a file that `write_vdb` wrote."""
+    return _metadata(path).get("creator") == CREATOR
+
+
+def _metadata(path):
+    """{name: value} of a file, and nothing of one that cannot be read."""
     try:
-        return openvdb.readMetadata(str(path)).get("creator") == CREATOR
+        return openvdb.readMetadata(str(path))
     except OSError:
-        return False
+        return {}
 
 
 def _grids(domain, density, colors):
