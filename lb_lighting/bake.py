@@ -98,7 +98,12 @@ class Baking(Job):
 
     Objects may be renamed, moved, hidden or deleted meanwhile, undone and redone: they are known by
     the number that Blender gives them for the session.
+
+    name  what it is
+    kept  what is left of it if it is cancelled now
     """
+
+    name, kept = "bake", "nothing was changed"
 
     def __init__(self, context, objects, options, frames=None, settings=None):
         """Read the scene and start; raises as `gather` does.
@@ -156,6 +161,8 @@ class Baking(Job):
 
 class Estimating(Job):
     """An estimate under way, with the methods of a `Baking`; it changes nothing."""
+
+    name, kept = "estimate", "nothing was changed"
 
     def __init__(self, context, objects, options):
         """Read the scene and start; raises as `gather` does."""

@@ -19,6 +19,8 @@ class Sequence:
     Frames that are there already are kept, so a bake that was ended goes on where it was.
     """
 
+    name = "bake"
+
     def __init__(self, context, objects, options, first, last, overwrite=False):
         """Start with the first frame that is missing; raises as `Baking` does.
 
@@ -51,8 +53,18 @@ class Sequence:
     def status(self):
         """(what it is doing, fraction from 0 to 1)."""
         stage, fraction = self.baking.status
-        done = self.total - len(self.missing)
-        return f"Frame {self.missing[0]}: {stage}", (done + fraction) / self.total
+        return f"Frame {self.missing[0]}: {stage}", (self._done + fraction) / self.total
+
+    @property
+    def kept(self):
+        """As of a `Baking`."""
+        if not self._done:
+            return self.baking.kept
+        return f"{self._done} of {self.total} frames are done and stay"
+
+    @property
+    def _done(self):
+        return self.total - len(self.missing)
 
     @property
     def seconds_left(self):

@@ -7,12 +7,13 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake
+from lb_lighting import bake, job
 from lb_lighting.bake import Options
 from lb_lighting.errors import SceneError, SolverError
 from lb_lighting.output.vdb import DENSITY_GRID
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.sequence import MOVING, Sequence
+from lb_lighting.ui import running
 from tests import scenery
 from tests.scenery import read_grid
 
@@ -72,6 +73,17 @@ def test_blender_shows_the_file_of_its_frame(scene, fog):
         shown = baked().evaluated_get(bpy.context.evaluated_depsgraph_get()).data.grids
         assert shown.load()
         assert Path(shown.frame_filepath).name == f"frame_{frame:04}.vdb"
+
+
+def test_cancelled_it_tells_what_is_kept(scene, fog):
+    work = Sequence(bpy.context, [fog], Options.of(scene), 1, 3)
+    assert work.kept == "nothing was changed"
+    job.wait(work)
+    assert work.apply(bpy.context) is None
+    running.start(work)
+    assert bpy.ops.lb_lighting.cancel() == {"FINISHED"}
+    assert running.last == ("The bake was cancelled; 1 of 3 frames are done and stay",)
+    assert list(frames()) == ["frame_0001.vdb"]
 
 
 def test_an_ended_bake_goes_on_where_it_was(scene, fog, processes):

@@ -22,15 +22,12 @@ class _Works:
 
     @classmethod
     def poll(cls, context):
-        if running.baking is not None:
-            cls.poll_message_set("A bake or an estimate is under way; cancel it or wait for it")
-        elif context.mode != "OBJECT":
-            cls.poll_message_set("Leave the mode that the object is in: light is for whole objects")
-        elif not context.selected_objects:
-            cls.poll_message_set("Select a volume, a smoke domain or a mesh")
-        else:
-            return True
-        return False
+        why = running.why_not(context)
+        if why is None and context.mode != "OBJECT":
+            why = "Leave the mode that the object is in: light is for whole objects"
+        if why is not None:
+            cls.poll_message_set(why)
+        return why is None
 
     def execute(self, context):
         windows = context.window_manager
@@ -63,7 +60,7 @@ class _Works:
         if running.baking is None:  # Cancel was pressed
             return self._leave(context, {"CANCELLED"})
         if event.type == "ESC" and event.value == "PRESS":
-            running.stop("The bake was cancelled; nothing was changed")
+            running.stop("was cancelled")
             return self._leave(context, {"CANCELLED"})
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -72,7 +69,7 @@ class _Works:
         except LightingError as error:
             return self._leave(context, self._refuse(error))
         except Exception:  # a defect, which Blender shows; it must not block the next bake
-            running.stop("The bake failed; nothing was changed")
+            running.stop("failed")
             self._leave(context, set())
             raise
         if outcome is None:
@@ -81,7 +78,7 @@ class _Works:
 
     def cancel(self, context):
         """Blender's way to say that the operator ends with its window or its file."""
-        running.stop("The bake was ended with its window")
+        running.stop("was ended with its window")
         self._leave(context, set())
 
     def _look(self, context):
@@ -173,7 +170,7 @@ class LB_OT_customize(bpy.types.Operator):  # noqa: N801 - Blender's convention
 
 
 class LB_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """End the bake that is under way; the scene stays as it is"""
+    """End the bake or the estimate that is under way"""
 
     bl_idname = "lb_lighting.cancel"
     bl_label = "Cancel LB Light"
@@ -181,11 +178,11 @@ class LB_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's convention
     @classmethod
     def poll(cls, _context):
         if running.baking is None:
-            cls.poll_message_set("No bake is under way")
+            cls.poll_message_set("Nothing is under way")
         return running.baking is not None
 
     def execute(self, _context):
-        running.stop("The bake was cancelled; nothing was changed")
+        running.stop("was cancelled")
         return {"FINISHED"}
 
 

@@ -44,13 +44,10 @@ ends with any change"""
 
     @classmethod
     def poll(cls, context):
-        if running.baking is not None:
-            cls.poll_message_set("A bake or an estimate is under way; it needs the device")
-        elif not context.selected_objects:
-            cls.poll_message_set("Select a volume, a smoke domain or a mesh")
-        else:
-            return True
-        return False
+        why = running.why_not(context)
+        if why is not None:
+            cls.poll_message_set(why)
+        return why is None
 
     def execute(self, context):
         options = bake.Options.of(context.scene)

@@ -22,11 +22,21 @@ def start(work):
     show()
 
 
-def stop(why):
-    """End what is under way, if anything is, at once."""
+def stop(how):
+    """End what is under way, if anything is, at once; `how` it ended follows its name."""
     if baking is not None:
+        sentence = f"The {baking.name} {how}; {baking.kept}"
         baking.cancel()
-        finish([why], error=True)
+        finish([sentence], error=True)
+
+
+def why_not(context):
+    """Why nothing can be begun with what is selected, or None."""
+    if baking is not None:
+        return "A bake or an estimate is under way; cancel it or wait for it"
+    if not context.selected_objects:
+        return "Select a volume, a smoke domain or a mesh"
+    return None
 
 
 def finish(lines, error=False):
@@ -72,7 +82,7 @@ def draw_status(header, _context):
 
 @persistent
 def _stop_for_another_file(*_arguments):
-    stop("The bake was ended, because another file was opened")
+    stop("was ended, because another file was opened")
 
 
 def register():
@@ -81,6 +91,6 @@ def register():
 
 
 def unregister():
-    stop("The bake was ended, because the extension was disabled")
+    stop("was ended, because the extension was disabled")
     bpy.app.handlers.load_pre.remove(_stop_for_another_file)
     bpy.types.STATUSBAR_HT_header.remove(draw_status)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import job
+from lb_lighting import bake, job
 from lb_lighting.options import FOLIAGE, MODES, Options
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.scene.sources import CUSTOM, FROM_MATERIAL
@@ -171,6 +171,26 @@ class TestEstimate:
         assert 0.8 * 4 / 6 < a_voxel < 1.01 * 4 / 6
         line = scenery.ball()[4, 4].sum() * 4 * 2 / scenery.EDGE
         assert across == pytest.approx(line, rel=0.05)
+
+
+class TestCancel:
+    @pytest.mark.parametrize(
+        ("work", "name"), [(bake.Baking, "bake"), (bake.Estimating, "estimate")]
+    )
+    def test_tells_what_was_cancelled(self, scene, tmp_path, processes, work, name):
+        fog = scenery.add_fog(tmp_path)
+        scenery.select(fog)
+        before = snapshot()
+        running.start(work(bpy.context, [fog], Options.of(scene)))
+        for operator in (bpy.ops.lb_lighting.bake, bpy.ops.lb_lighting.preview):
+            with pytest.raises(RuntimeError, match="A bake or an estimate is under way; cancel"):
+                operator()
+        assert bpy.ops.lb_lighting.cancel() == {"FINISHED"}
+        name = {bake.Baking: "bake", bake.Estimating: "estimate"}[work]
+        assert running.last == (f"The {name} was cancelled; nothing was changed",)
+        assert processes[0].poll() is not None
+        assert snapshot() == before
+        assert not bpy.ops.lb_lighting.cancel.poll()
 
 
 class TestDevices:
