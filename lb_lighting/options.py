@@ -14,6 +14,7 @@ from .transport.solver import MODELS, Settings
 QUALITIES = (*TARGETS, CUSTOM)
 MODES = ("REPLACE", "ADD")
 SHOWN = {"strength", "device", "folder"}
+FORMAT = 2  # raised where grids come to mean something else, so that old frames are not kept
 FOLIAGE = ("ATTRIBUTE", "MODIFIER")  # how it gets its light
 
 
@@ -86,7 +87,8 @@ class Options:
     @property
     def essence(self):
         """All that a result depends on, as text: not how it is shown, or where it is made."""
-        return repr({name: value for name, value in asdict(self).items() if name not in SHOWN})
+        values = {name: value for name, value in asdict(self).items() if name not in SHOWN}
+        return repr(values | {"format": FORMAT})
 
     @classmethod
     def of(cls, scene, **changes):

@@ -110,6 +110,19 @@ class TestVolume:
         assert np.all(np.diff(np.array(residuals, float)) <= 0)
         assert 100 * lit.report.residual < float(residuals[-1]) < 100
 
+    def test_a_quality_is_planned_for(self, scene, tmp_path):
+        fog = scenery.add_fog(tmp_path, 0.003 * scenery.ball())
+        outcome = bake_light(fog, quality="final")
+        assert outcome.plan.settings.scattering == "single"
+        assert not outcome.field.fluence.any()
+        assert read_metadata(outcome.path)["expected_error"] == pytest.approx(outcome.plan.error)
+        assert any("No lattice" in line for line in outcome.facts)
+
+    def test_what_a_quality_plans_is_left_alone_by_hand(self, scene, tmp_path):
+        outcome = bake_light(scenery.add_fog(tmp_path), scattering="single")
+        assert outcome.plan is None
+        assert outcome.field.report.steps == 0
+
     def test_metadata_tells_the_settings(self, scene, tmp_path):
         told = read_metadata(bake_light(scenery.add_fog(tmp_path), strength=0.5).path)
         assert told["resolution"] == 16

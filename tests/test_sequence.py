@@ -10,7 +10,7 @@ import pytest
 from lb_lighting import bake, job
 from lb_lighting.bake import Options
 from lb_lighting.errors import SceneError, SolverError
-from lb_lighting.output.vdb import DENSITY_GRID
+from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.sequence import MOVING, Sequence
 from lb_lighting.ui import running
@@ -50,6 +50,15 @@ def frames():
     """{name: time of its last change} of the frames that are shown."""
     folder = baked_path(baked()).parent
     return {path.name: path.stat().st_mtime_ns for path in sorted(folder.iterdir())}
+
+
+def test_frames_are_planned_once(scene, fog):
+    stages = []
+    outcome = bake_frames(fog, progress=lambda *now: stages.append(now[0]), quality="preview")
+    assert {stage for stage in stages if "Planning" in stage} == {"Frame 1: Planning"}
+    assert outcome.plan is None
+    stamps = [read_metadata(outcome.path.with_name(name)) for name in frames()]
+    assert {stamp["quality"] for stamp in stamps} == {"preview"}
 
 
 def test_each_frame_has_its_own_light(scene, fog):

@@ -112,6 +112,8 @@ class Light:
             return self.options.settings(), None
         tell(stage="Planning", fraction=PLAN)
         planned = self.plan(problem, self.options.quality)
+        if not planned.meets_target:
+            self.reader.notes.append(planned.reasons[-1])
         return planned.settings, planned
 
     def plan(self, problem, quality, fixed=None):

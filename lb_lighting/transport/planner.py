@@ -23,7 +23,7 @@ from .solver import Settings, require_memory, solve
 TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}
 _PILOT = 32  # voxels along the longest edge of the pilot
 _PHOTONS = (20_000, 60_000)  # of the pilot, twice: the more tell what each takes
-_CLOSE = 0.06  # targets up to this are compared with photons; the others with what is usual:
+_CLOSE = 0.10  # targets up to this are compared with photons; the others with what is usual:
 _USUAL = 0.065  # error of the lattice without photons, the most of docs/physics.md
 _FAR = 300  # collisions of a photon from which on the pilot's are handed over
 _SAFE = 0.85  # of the target, that what is expected must keep to
@@ -32,7 +32,8 @@ _NOISE = (0.3, 0.5)  # of the target, that photons may leave: the least, and the
 _MERGES = (1, 2, 4, 8)
 _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
 # What is left of the lattice's error where photons go before it.
-_LEFT = (0, 1, 2, 4), (1, 0.55, 0.35, 0.25)  # by handover
+_LEFT = (0, 1, 2, 4), (1, 0.75, 0.6, 0.45)  # by handover
+_FIXED = 0.04  # s that a solve takes of however little
 _FEWEST_VOXELS = 8  # along the longest edge of a lattice
 _FEWEST_PHOTONS = 10_000
 
@@ -175,7 +176,8 @@ def _fly(medium, lights, base, target, device, cancel, thin):
         solved(scattering="single")  # makes programs ready
         start = perf_counter()
         solved(scattering="single")
-        return Pilot(edge=max(small.shape), share=thin, rays=perf_counter() - start)
+        once = perf_counter() - start
+        return Pilot(max(small.shape), thin, 2 * once if medium.g.max() > 0 else once)
     half = _unless_too_dark(solved, merge=2)  # first, as a first solve makes programs ready
     start = perf_counter()
     whole = _unless_too_dark(solved)
@@ -291,20 +293,21 @@ def _expected_error(settings, pilot, medium, edge, target):
 
 def _expected_seconds(settings, pilot, medium, edge):
     rays = pilot.rays * _rays(edge) / _rays(pilot.edge)
+    # Where light goes forward a lattice takes rays twice.
+    once = rays / 2 if medium.g.max() > 0 else rays
     if settings.scattering == "single":
-        return rays
+        return once + _FIXED
     large = edge / settings.merge
-    seconds = pilot.rays * _rays(large) / _rays(pilot.edge)
+    seconds = _FIXED + pilot.rays * _rays(large) / _rays(pilot.edge)
     if settings.merge > 1:
-        seconds += rays
+        seconds += once
     if settings.handover:
         photons = settings.photons or 0
         seconds += photons * pilot.trace * _path(settings.handover, pilot, medium)
     if settings.handover != inf and pilot.steps[0]:
         now, before = pilot.steps
         growth = min(max(np.log2(now / before), 0.0), 1.0)
-        scale = large / pilot.edge
-        seconds += pilot.solve * scale ** (3 + growth)
+        seconds += pilot.solve * (large / pilot.edge) ** (3 + growth)
     return float(seconds)
 
 
@@ -325,9 +328,11 @@ def _rays(edge):
 
 def _reasons(settings, pilot, medium, error, target):
     """[line] for people."""
-    share = f"scattered light is {pilot.share:.0%} of all light"
     if settings.scattering == "single":
-        return [f"No lattice: {share}, and one scattering is enough."]
+        return [
+            f"No lattice: scattered light is {pilot.share:.1%} of all light or less, so scattering "
+            "it once, in the shader, is enough."
+        ]
     return [
         f"Scattered light is found: it is {pilot.share:.0%} of all light.",
         _of_photons(settings, pilot, target),

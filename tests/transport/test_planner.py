@@ -124,7 +124,7 @@ def test_little_memory_leads_to_larger_voxels(monkeypatch):
             raise DeviceError("too much")
         return 1
 
-    medium = cube(n=24, depth=30)
+    medium = cube(n=24, depth=60)
     assert plan(medium, [SUN], "draft").settings.merge == 1
     monkeypatch.setattr(planner, "require_memory", little)
     assert plan(medium, [SUN], "draft").settings.merge > 1
@@ -151,10 +151,13 @@ def test_larger_domains_are_foretold_from_small_ones():
     pilot = Pilot(edge=32, share=0.9, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
     medium = cube(4)
     small, large = (planner._expected_seconds(Settings(), pilot, medium, n) for n in (32, 64))
-    assert small == 2
-    assert large == 8 / 4 + 8
+    fixed = planner._FIXED
+    assert small == 2 + fixed
+    assert large == 8 / 4 + 8 + fixed
     merged = planner._expected_seconds(Settings(merge=2), pilot, medium, 64)
-    assert merged == small + 2
+    assert merged == 8 / 4 + small
+    forward = planner._expected_seconds(Settings(merge=2), pilot, cube(4, g=0.5), 64)
+    assert forward == 8 / 4 / 2 + small
 
 
 def test_it_can_be_cancelled():

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake and Clear as the user has them, and the properties that they read."""
 
+import math
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -13,7 +15,7 @@ from lb_lighting.options import FOLIAGE, MODES, Options
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.scene.sources import CUSTOM, FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS
-from lb_lighting.transport.solver import MODELS
+from lb_lighting.transport.solver import MODELS, Settings
 from lb_lighting.ui import preferences, properties, running
 from tests import scenery
 from tests.scenery import bake_light, snapshot
@@ -171,6 +173,30 @@ class TestEstimate:
         assert 0.8 * 4 / 6 < a_voxel < 1.01 * 4 / 6
         line = scenery.ball()[4, 4].sum() * 4 * 2 / scenery.EDGE
         assert across == pytest.approx(line, rel=0.05)
+
+
+class TestQuality:
+    def test_a_bake_tells_what_was_chosen_and_why(self, scene, tmp_path, capfd):
+        scenery.select(scenery.add_fog(tmp_path))
+        scene.lb_lighting.quality = "preview"
+        assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
+        assert any("of all light" in line for line in running.last)
+        assert any("the target is 20%" in line for line in running.last)
+        assert running.plan.quality == "preview"
+
+    def test_customize_takes_over_what_was_chosen(self, scene, monkeypatch):
+        chosen = Settings(merge=4, handover=math.inf, photons=1234, tolerance=0.25)
+        monkeypatch.setattr(running, "plan", SimpleNamespace(settings=chosen))
+        assert bpy.ops.lb_lighting.customize() == {"FINISHED"}
+        options = Options.of(scene)
+        assert (options.quality, options.merge, options.photons) == ("CUSTOM", 4, 1234)
+        assert (options.scattering, options.handover) == ("multiple", 1000)
+        assert options.tolerance == 0.25
+
+    def test_customize_needs_a_plan(self, monkeypatch):
+        monkeypatch.setattr(running, "plan", None)
+        with pytest.raises(RuntimeError, match="Estimate or bake first"):
+            bpy.ops.lb_lighting.customize()
 
 
 class TestCancel:
