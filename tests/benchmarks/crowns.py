@@ -78,9 +78,13 @@ CASES = {
 }
 
 
-def build(case):
-    """Fill the empty file with a `Case`; its objects, the leaves first."""
-    objects = [add("Leaves", case.leaves(), leaf_material())]
+def build(case, colors=None):
+    """Fill the empty file with a `Case`; its objects, the leaves first.
+
+    colors  ((reflectance, transmittance) of the leaves in each band), or None for COLORS
+    """
+    leaf = leaf_material(colors or tuple(COLORS.values()))
+    objects = [add("Leaves", case.leaves(), leaf)]
     if case.tree:
         objects.append(add("Wood", assets.tree(leaves=20_000)[0], diffuse("Bark", BARK)))
         objects[-1].lb_lighting.role = "OCCLUDER"
@@ -108,9 +112,9 @@ def add(name, mesh, material):
     return ob
 
 
-def leaf_material():
-    """A diffuse and a translucent shader, with the three leaf colours in the three bands."""
-    reflectance, transmittance = np.transpose(list(COLORS.values()))
+def leaf_material(colors):
+    """A diffuse and a translucent shader; colors: ((reflectance, transmittance) of each band)."""
+    reflectance, transmittance = np.transpose(colors)
     material = diffuse("Leaf", reflectance)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     through, both = nodes.new("ShaderNodeBsdfTranslucent"), nodes.new("ShaderNodeAddShader")

@@ -102,20 +102,24 @@ def build(case, folder):
     bounds.from_pydata([(-half,) * 3, (half,) * 3], [], [])
     scene.collection.objects.link(bpy.data.objects.new("Bounds", bounds))
     data = bpy.data.volumes.new("Source")
-    data.filepath = str(write_density(folder / "source.vdb", case.density))
+    data.filepath = str(write_grids(folder / "source.vdb", density=case.density))
     data.materials.append(medium(case))
     source = bpy.data.objects.new("Source", data)
     scene.collection.objects.link(source)
     return source
 
 
-def write_density(path, values):
-    grid = openvdb.FloatGrid()
-    grid.copyFromArray(np.ascontiguousarray(values))
-    grid.name, grid.gridClass = "density", openvdb.GridClass.FOG_VOLUME
-    grid.transform = openvdb.createLinearTransform(VOXEL)
-    grid.transform.postTranslate(((1 - EDGE) * VOXEL / 2,) * 3)
-    openvdb.write(str(path), [grid])
+def write_grids(path, **grids):
+    """A .vdb of (EDGE, EDGE, EDGE) values about the origin, by name; its path."""
+    written = []
+    for name, values in grids.items():
+        grid = openvdb.FloatGrid()
+        grid.copyFromArray(np.ascontiguousarray(values))
+        grid.name, grid.gridClass = name, openvdb.GridClass.FOG_VOLUME
+        grid.transform = openvdb.createLinearTransform(VOXEL)
+        grid.transform.postTranslate(((1 - EDGE) * VOXEL / 2,) * 3)
+        written.append(grid)
+    openvdb.write(str(path), written)
     return path
 
 

@@ -50,11 +50,11 @@ def surface(kind, **inputs):
     return material
 
 
-def render(scene, path, size, samples):
+def render(scene, path, size, samples, denoise=False):
     """(size, size, 3) linear radiance of a Cycles picture, row 0 at the bottom."""
     scene.render.engine = "CYCLES"
     scene.cycles.samples = samples
-    scene.cycles.use_denoising = False
+    scene.cycles.use_denoising = denoise
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.pixel_filter_type = "BOX"
     scene.render.resolution_x = scene.render.resolution_y = size

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Final pictures by Cycles: what they cost, how far from each other they are, and kept references.
+
+Costs are processor time (user and system, of this process and of those that it waited for), which
+other people's work on a machine hardly changes, and wall time.
+"""
+
+import hashlib
+import resource
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import bpy
+import numpy as np
+
+from tests.benchmarks.table import BUILD
+from tests.output.rendering import render, silent_stdout
+
+REFERENCES = BUILD.parent / "references"
+SIZE = 128  # pixels along an edge
+BLOCK = 4  # pixels along the edge of what coarse figures average over
+BOUNCES = ("max", "volume", "diffuse", "glossy", "transmission")
+SEEDS = (1001, 1002)  # of the two halves of a reference; no other picture has them
+
+
+class Meter:
+    """Seconds that a `with meter():` took: `processor` of all cores in sum, and `wall`."""
+
+    def __init__(self):
+        self.processor = self.wall = 0.0
+
+    @contextmanager
+    def __call__(self):
+        processor, wall = _processor_time(), perf_counter()
+        try:
+            yield self
+        finally:
+            self.processor += _processor_time() - processor
+            self.wall += perf_counter() - wall
+
+
+def _processor_time():
+    everybody = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    return sum(sum(resource.getrusage(who)[:2]) for who in everybody)
+
+
+def picture(samples, bounces=None, seed=0, denoise=False, meter=None):
+    """(SIZE, SIZE, 3) linear radiance of the scene by Cycles, row 0 at the bottom.
+
+    bounces  of every kind, or None for those of the scene
+    Nothing is clamped or left out, and all pixels have the same number of samples.
+    """
+    scene = bpy.context.scene
+    cycles = scene.cycles
+    if bounces is not None:
+        for kind in BOUNCES:
+            setattr(cycles, f"{kind}_bounces", bounces)
+    cycles.sample_clamp_indirect = cycles.light_sampling_threshold = 0
+    cycles.seed = seed
+    with TemporaryDirectory() as folder, silent_stdout(), (meter or Meter())():
+        return render(scene, Path(folder) / "picture.exr", SIZE, samples, denoise)
+
+
+def reference(facts, build, samples, bounces):
+    """(2, SIZE, SIZE, 3): pictures of the scene that `build()` makes, by two seeds.
+
+    facts  (name, whatever else the picture depends on); they are rendered once for the same facts
+    """
+    digest = hashlib.sha256(repr((facts, samples, bounces, SIZE, SEEDS)).encode()).hexdigest()
+    path = REFERENCES / f"render-{facts[0].replace(' ', '-')}-{digest[:8]}.npz"
+    if not path.exists():
+        build()
+        halves = [picture(samples, bounces, seed) for seed in SEEDS]
+        REFERENCES.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, halves=np.array(halves, np.float32))
+    with np.load(path) as file:
+        return file["halves"].astype(float)
+
+
+# --- Figures -------------------------------------------------------------------------------------
+
+
+def error(found, halves):
+    """Relative RMSE over pixels and bands, against what the two `halves` are noisy pictures of.
+
+    Their noise is independent, so it drops out of the mean of products, as long as `found` has
+    neither's seed.
+    """
+    square = np.mean((found - halves[0]) * (found - halves[1]))
+    return float(np.sqrt(max(0.0, square) / np.mean(halves[0] * halves[1])))
+
+
+def noise(halves):
+    """The relative RMSE of the mean of both."""
+    return float(
+        np.sqrt(np.mean((halves[0] - halves[1]) ** 2) / 4 / np.mean(halves[0] * halves[1]))
+    )
+
+
+def brightness(found, halves):
+    """The mean of `found` over that of the reference, in the band where that is farthest from 1."""
+    ratios = found.mean(axis=(0, 1)) / halves.mean(axis=(0, 1, 2))
+    return float(ratios[np.argmax(np.abs(ratios - 1))])
+
+
+def blocks(pictures, edge=BLOCK):
+    """Means over edge x edge pixels of (..., SIZE, SIZE, bands)."""
+    *rest, rows, columns, bands = pictures.shape
+    shape = (*rest, rows // edge, edge, columns // edge, edge, bands)
+    return pictures.reshape(shape).mean(axis=(-4, -2))
+
+
+# --- To look at ----------------------------------------------------------------------------------
+
+
+def graded(picture, white):
+    """Radiance as values of a screen, 0 to 1; `white` is the radiance that is white."""
+    linear = np.clip(picture / white, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def difference(found, wanted, white, gain=4):
+    """`gain` times the difference, about grey."""
+    return np.clip(0.5 + gain / 2 * (found - wanted) / white, 0, 1)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scenes of `make bench-render`: clouds, a fire in smoke, trees, a teapot."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from lb_lighting.transport.medium import PRESETS
+from tests.benchmarks import crowns, endtoend, media
+from tests.demo import assets
+from tests.demo import scenes as demo
+
+SUNS = ((endtoend.FROM_THE_LEFT, endtoend.WHITE),)
+LIGHTS = {"sun": (True, False), "sun and sky": (True, True), "white sky": (False, True)}
+# (reflectance, transmittance) of leaves in the red, green and blue of the picture.
+GREEN = ((0.05, 0.03), (0.10, 0.09), (0.04, 0.02))
+WHITE = ((0.45, 0.45),) * 3
+TREES = (
+    ("green", GREEN, "sun"),
+    ("green", GREEN, "sun and sky"),
+    ("white", WHITE, "sun"),
+    ("white", WHITE, "white sky"),
+)
+FRAMES = 12
+FLAME = (1.0, 0.45, 0.15)  # colour
+STRENGTH = 12.0  # W/(m^3 sr) where the grid `flame` is 1
+DEPTH = 100.0  # optical, of the teapot over its length of 1 m
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A scene and its camera.
+
+    group    the part of the benchmark that it belongs to
+    build    function of a folder: fills the empty file, returns the objects to light
+    facts    whatever the picture depends on
+    bounces  of Cycles: those of the reference, then fewer
+    half     samples of either half of the reference
+    block    pixels along the edge of the means that the error which counts is of
+    """
+
+    name: str
+    group: str
+    build: Callable
+    facts: tuple
+    bounces: tuple
+    half: int
+    block: int = 1
+
+
+def shots():
+    """Every `Shot` of one picture."""
+    yield from clouds()
+    yield from trees()
+    yield fire()
+    yield teapot()
+
+
+# --- Clouds --------------------------------------------------------------------------------------
+
+
+def clouds():
+    density = media.cloud(endtoend.EDGE).astype(np.float32)
+    for albedo in (0.99, 0.9999):
+        for g in (0.0, 0.85):
+            name = f"cloud, albedo {albedo:g}, g {g:g}"
+            case = endtoend.Case(name, density, 40.0, albedo, g, SUNS)
+            yield Shot(name, "clouds", in_medium(case), (case.key,), (1024, 32), 128)
+
+
+def in_medium(case):
+    return lambda folder: [endtoend.build(case, folder)]
+
+
+# --- Trees ---------------------------------------------------------------------------------------
+
+
+def trees():
+    case = crowns.CASES["tree"]
+    for name, colors, lights in TREES:
+
+        def build(_folder, colors=colors, lights=lights):
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+            objects = crowns.build(case, colors)
+            crowns.light(*LIGHTS[lights])
+            crowns.look(case, "lit")
+            return objects
+
+        facts = (colors, crowns.BARK, *crowns.SUN, crowns.IRRADIANCE, crowns.RADIANCE, lights)
+        yield Shot(f"{name} tree, {lights}", "trees", build, facts, (32, 12, 4), 64, block=4)
+
+
+# --- Smoke ---------------------------------------------------------------------------------------
+
+
+def fire(frame=0):
+    density, flame = plume(frame)
+    case = endtoend.Case("smoke", density, 10.0, 0.9, 0.6, ())
+
+    def build(folder):
+        source = endtoend.build(case, folder)
+        path = folder / f"plume-{frame}.vdb"
+        source.data.filepath = str(endtoend.write_grids(path, density=density, flame=flame))
+        let_shine(source.active_material)
+        return [source]
+
+    facts = (case.key, float(flame.sum()), FLAME, STRENGTH)
+    name = "fire in smoke" + f", frame {frame}" * bool(frame)
+    return Shot(name, "smoke", build, facts, (128, 8), 128)
+
+
+def plume(frame):
+    """(density, flame), each (EDGE, EDGE, EDGE): smoke that rises by 2 voxels from frame to frame
+    off a fire, which flickers."""
+    n = endtoend.EDGE
+    x, y, z = media.corners(n)
+    curls = np.roll(media.noise(n, np.random.default_rng(3)), 2 * frame, axis=2)
+    height = (z + 1) / 2
+    radius = 0.25 + 0.45 * height
+    aside = np.hypot(x - 0.15 * np.sin(3 * height), y)
+    density = np.clip(1.6 * (1 - aside / radius) + 0.45 * curls, 0, 1.5)
+    density *= np.clip(4 * (1 - height), 0, 1) * np.clip(6 * (height - 0.04), 0, 1)
+    core = 1 - np.hypot(aside / 0.22, (height - 0.2) / 0.16)
+    flame = np.clip(2 * core + 0.3 * curls, 0, 1) * (density > 0)
+    return density.astype(np.float32), flame.astype(np.float32)
+
+
+def let_shine(material):
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    volume = next(node for node in nodes if node.type == "PRINCIPLED_VOLUME")
+    grid, times = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeMath")
+    grid.attribute_name = "flame"
+    times.operation, times.inputs[1].default_value = "MULTIPLY", STRENGTH
+    links.new(grid.outputs["Factor"], times.inputs[0])
+    links.new(times.outputs[0], volume.inputs["Emission Strength"])
+    volume.inputs["Emission Color"].default_value = (*FLAME, 1)
+
+
+# --- The teapot ----------------------------------------------------------------------------------
+
+
+def teapot():
+    """Of the red band of the preset PMMA, and without a surface: a volume material alone."""
+    optics = PRESETS["pmma"]
+    albedo = optics.sigma_s[0] / (optics.sigma_s[0] + optics.sigma_a[0])
+    case = endtoend.Case("teapot", None, DEPTH, albedo, optics.g[0], ())
+
+    def build(_folder):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        ob = demo.mesh_object("Teapot", assets.teapot(), endtoend.medium(case))
+        demo.surroundings(target=(0, 0, 0.22), distance=1.5, height=0.5)
+        bpy.context.scene.render.film_transparent = True
+        return [ob]
+
+    return Shot("teapot", "teapot", build, (str(case),), (1024, 32), 128)
