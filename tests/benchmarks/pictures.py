@@ -6,6 +6,7 @@ other people's work on a machine hardly changes, and wall time.
 """
 
 import hashlib
+import json
 import resource
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from tests.benchmarks.table import BUILD
 from tests.output.rendering import render, silent_stdout
 
 REFERENCES = BUILD.parent / "references"
+STORE = Path(__file__).parents[1] / "references" / "pictures.npz"
 SIZE = 128  # pixels along an edge
 BLOCK = 4  # pixels along the edge of what coarse figures average over
 BOUNCES = ("max", "volume", "diffuse", "glossy", "transmission")
@@ -39,6 +41,10 @@ class Meter:
         finally:
             self.processor += _processor_time() - processor
             self.wall += perf_counter() - wall
+
+    def add(self, other):
+        self.processor += other.processor
+        self.wall += other.wall
 
 
 def _processor_time():
@@ -79,6 +85,25 @@ def reference(facts, build, samples, bounces):
         return file["halves"].astype(float)
 
 
+def stored(name, halves, samples, bounces):
+    """The mean of a reference over that of the one in tests/references, where it is put if new."""
+    known, about = {}, {}
+    if STORE.exists():
+        with np.load(STORE) as file:
+            about = json.loads(str(file["about"]))
+            known = {key: file[key] for key in about}
+    if name not in known:
+        small = blocks(halves)
+        known[name] = small.mean(axis=0).astype(np.float16)
+        about[name] = {
+            "relative standard error of 4x4 means": noise(small),
+            "made by": f"python -m tests.benchmarks.render '{name}'",
+            "Cycles": f"{bounces} bounces, {samples} samples, seeds {SEEDS[0]} and {SEEDS[1]}",
+        }
+        np.savez_compressed(STORE, about=json.dumps(about), **known)
+    return float(halves.mean() / known[name].astype(float).mean())
+
+
 # --- Figures -------------------------------------------------------------------------------------
 
 
@@ -90,6 +115,22 @@ def error(found, halves):
     """
     square = np.mean((found - halves[0]) * (found - halves[1]))
     return float(np.sqrt(max(0.0, square) / np.mean(halves[0] * halves[1])))
+
+
+def distance(found, halves):
+    """The same of two `found` halves, whose own noise drops out, too."""
+    square = np.mean((found[0] - halves[0]) * (found[1] - halves[1]))
+    return float(np.sqrt(max(0.0, square) / np.mean(halves[0] * halves[1])))
+
+
+def flicker(found, halves):
+    """Relative RMSE of the change from frame to frame: how much of it is not the scene's.
+
+    found (frames, ...), halves (frames, 2, ...)
+    """
+    steps, wanted = np.diff(found, axis=0), np.diff(halves, axis=0)
+    square = np.mean((steps - wanted[:, 0]) * (steps - wanted[:, 1]))
+    return float(np.sqrt(max(0.0, square) / np.mean(halves[:, 0] * halves[:, 1])))
 
 
 def noise(halves):

@@ -3,15 +3,15 @@
 
     python -m tests.benchmarks.render [PART ...]
 
-PART is a group of scenes (clouds, ...) or the name of one, in quotes; default: all. Ours is what
-`Bake` makes with its defaults, and the render settings that it offers. Each Cycles setting is
-rendered with several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and
-its cost by start + each n, which gives its time at any error. Pictures are left in
-build/bench/render for `python -m tests.benchmarks.render_plots`.
+PART is clouds, trees, smoke, teapot, flicker, mitsuba, or the name of a scene; default: all. Ours
+is what Bake makes with its defaults, rendered with the settings of Use LB Light. Each Cycles
+setting is rendered with several numbers of samples n; its error is fitted by
+e^2 = bias^2 + variance / n and its cost by start + each n, which gives its time at any error.
+Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,8 +24,7 @@ import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
 from lb_lighting.output import shading  # noqa: E402
-from tests.benchmarks import pictures  # noqa: E402
-from tests.benchmarks.shots import shots  # noqa: E402
+from tests.benchmarks import endtoend, pictures, shots  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
 from tests.setup import peers  # noqa: E402
 
@@ -33,7 +32,12 @@ PICTURES = BUILD / "render"
 TARGET = 0.06  # error of a picture that is good enough
 VIEWS = 24
 SAMPLES, OURS = (4, 16, 64), (1, 4, 16)
-EQUAL = 16  # samples of ours that pictures are shown of
+FULL = 1920 * 1080 / pictures.SIZE**2  # the pixels of a full picture, over those of ours
+FLICKER = 4  # samples of ours where pictures move
+FEW = 16  # of either half of the references of those
+MITSUBA = 8  # samples of either of its pictures
+OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
+DEVICE = "Cycles on the processor"
 
 
 # --- One scene -----------------------------------------------------------------------------------
@@ -41,11 +45,9 @@ EQUAL = 16  # samples of ours that pictures are shown of
 
 def rows_of(shot):
     """[row] for each picture of it; the pictures go to a file."""
+    halves = reference(shot)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        halves = pictures.reference(
-            (shot.name, *shot.facts), lambda: shot.build(folder), shot.half, shot.bounces[0]
-        )
         found = [*by_cycles(shot, folder), *with_our_light(shot, folder)]
     images = np.array([image for _, image in found], np.float32)
     flips = flip(images, halves.mean(axis=0))
@@ -53,9 +55,26 @@ def rows_of(shot):
         row | figures(image, halves, shot.block) | {"FLIP": float(seen)}
         for (row, image), seen in zip(found, flips, strict=True)
     ]
+    keep(shot.name, halves, images)
+    stored = pictures.stored(shot.name, halves, shot.half, shot.bounces[0])
+    return [{"scene": shot.name} | row | {"reference / stored": stored} for row in rows]
+
+
+def reference(shot):
+    """(2, SIZE, SIZE, 3): see `pictures.reference`."""
+    with TemporaryDirectory() as folder:
+        return pictures.reference(
+            (shot.name, *shot.facts), lambda: shot.build(Path(folder)), shot.half, shot.bounces[0]
+        )
+
+
+def keep(name, wanted, images):
+    """What is to be drawn later."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(PICTURES / f"{shot.name}.npz", reference=halves, images=images)
-    return [{"scene": shot.name} | row for row in rows]
+    arrays = {"reference": wanted, "images": images}
+    np.savez_compressed(
+        PICTURES / f"{name}.npz", **{k: np.asarray(v, np.float32) for k, v in arrays.items()}
+    )
 
 
 def by_cycles(shot, folder):
@@ -73,18 +92,23 @@ def by_cycles(shot, folder):
 
 def with_our_light(shot, folder):
     """(row, picture) for each number of samples; the first bake is not counted, as it compiles."""
-    for _ in range(2):
-        objects = shot.build(folder)
-        meter = pictures.Meter()
-        with meter():
-            bake.bake(bpy.context, objects, bake.Options(folder=str(folder)))
-            shading.use_light(bpy.context.scene)
-    baking = meter
+    baked(shot, folder)
+    baking = baked(shot, folder)
     pictures.picture(1)
     for samples in OURS:
         meter = pictures.Meter()
         image = pictures.picture(samples, seed=samples, meter=meter)
         yield cost("ours", samples, meter) | {"bake, processor s": baking.processor}, image
+
+
+def baked(shot, folder):
+    """The `Meter` of lighting the scene, which then is ready to be rendered."""
+    objects = shot.build(folder)
+    meter = pictures.Meter()
+    with meter():
+        bake.bake(bpy.context, objects, bake.Options(folder=str(folder)))
+        shading.use_light(bpy.context.scene)
+    return meter
 
 
 def cost(light, samples, meter):
@@ -128,8 +152,8 @@ class Fit:
             np.array([row[name] for row in rows], float)
             for name in ("samples", "error", "processor s")
         )
-        square = _nonnegative(np.ones_like(n) / error**2, 1 / n / error**2)
-        start, each = _nonnegative(np.ones_like(n) / seconds, n / seconds)
+        square = _nonnegative(1 / error**2, 1 / n / error**2)
+        start, each = _nonnegative(1 / seconds, n / seconds)
         return cls(float(np.sqrt(square[0])), square[1], start, each)
 
     def samples(self, error):
@@ -137,9 +161,10 @@ class Fit:
         left = error**2 - self.bias**2
         return max(1.0, np.ceil(self.variance / left)) if left > 0 else np.inf
 
-    def seconds(self, error, views=1):
-        """To reach it in so many views of one scene, which is set up once."""
-        return self.start + views * self.each * self.samples(error)
+    def seconds(self, error, views=1, size=1.0):
+        """To reach it in so many views of one scene, which is set up once; size: of a picture,
+        over that of ours."""
+        return self.start + views * size * self.each * self.samples(error)
 
 
 def _nonnegative(first, second):
@@ -155,49 +180,151 @@ def _nonnegative(first, second):
 
 
 def summary(rows):
-    """The row on a scene: time to the target."""
+    """The row on a scene: processor time to the target, and how many times less ours is."""
     fits = {
         light: Fit.of([row for row in rows if row["light"] == light])
         for light in dict.fromkeys(row["light"] for row in rows)
     }
-    ours, baking = fits.pop("ours"), rows[-1]["bake, processor s"]
+    ours, last = fits.pop("ours"), rows[-1]
+    baking = last["bake, processor s"]
     plain = [fit for light, fit in fits.items() if "denoised" not in light]
     denoised = [fit for light, fit in fits.items() if "denoised" in light]
 
-    def fastest(some, views=1):
-        return min(fit.seconds(TARGET, views) for fit in some)
+    def seconds(some, **facts):
+        return min(fit.seconds(TARGET, **facts) for fit in some)
 
-    once, often = (baking + ours.seconds(TARGET, views) for views in (1, VIEWS))
+    def times(some, **facts):
+        return seconds(some, **facts) / (baking + seconds([ours], **facts))
+
+    equal = min(fit.seconds(last["error"]) for fit in plain)
     return {
-        "scene": rows[0]["scene"],
-        "ours: error": rows[-1]["error"],
-        "mean": rows[-1]["mean"],
+        "scene": last["scene"],
+        "our error": last["error"],
+        "our mean": last["mean"],
         "bake, s": baking,
-        "bake and picture, s": once,
-        "Cycles, s": fastest(plain),
-        "denoised, s": fastest(denoised),
-        "ratio": fastest(plain) / once,
-        "ratio, denoised": fastest(denoised) / once,
-        f"ratio, {VIEWS} views": fastest(plain, VIEWS) / often,
-        f"denoised, {VIEWS} views": fastest(denoised, VIEWS) / often,
+        "with picture, s": baking + seconds([ours]),
+        "Cycles, s": seconds(plain),
+        "denoised, s": seconds(denoised),
+        "ratio": times(plain),
+        "denoised": times(denoised),
+        f"{VIEWS} views": times(plain, views=VIEWS),
+        f"{VIEWS} views, denoised": times(denoised, views=VIEWS),
+        "1920 x 1080": times(plain, size=FULL),
+        "1920 x 1080, denoised": times(denoised, size=FULL),
+        "at our error": equal / (baking + last["processor s"]),
     }
+
+
+# --- Twelve frames -------------------------------------------------------------------------------
+
+
+def flicker():
+    """[row]: a fire, frame by frame, in as much time a frame."""
+    frames = [shots.fire(frame) for frame in range(1, shots.FRAMES + 1)]
+    halves = np.array([reference(replace(frame, half=FEW)) for frame in frames])
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        ours, meter = [], pictures.Meter()
+        baked(frames[0], folder)
+        for number, frame in enumerate(frames):
+            meter.add(baked(frame, folder))
+            ours.append(pictures.picture(FLICKER, seed=number, meter=meter))
+        found = {("ours", FLICKER): (meter, ours)}
+        samples = affordable(frames[0], folder, meter.processor / len(frames))
+        for denoise in (False, True):
+            meter, theirs = pictures.Meter(), []
+            for number, frame in enumerate(frames):
+                frame.build(folder)
+                theirs.append(
+                    pictures.picture(samples, frame.bounces[0], number, denoise, meter=meter)
+                )
+            found["Cycles" + ", denoised" * denoise, samples] = meter, theirs
+    keep("flicker", halves[:, 0], [images for _, images in found.values()])
+    return [
+        {
+            "light": light,
+            "samples": samples,
+            "processor s a frame": meter.processor / len(frames),
+            "flicker": pictures.flicker(np.array(images), halves),
+            "error": pictures.error(np.array(images), halves.swapaxes(0, 1)),
+        }
+        for (light, samples), (meter, images) in found.items()
+    ]
+
+
+def affordable(shot, folder, seconds):
+    """The samples that Cycles has time for in `seconds` of processor time, at least one."""
+    shot.build(folder)
+    costs = []
+    for samples in (1, 9):
+        meter = pictures.Meter()
+        pictures.picture(samples, shot.bounces[0], meter=meter)
+        costs.append(meter.processor)
+    each = (costs[1] - costs[0]) / 8
+    return max(1, round(1 + (seconds - costs[0]) / each))
+
+
+# --- A second opinion ----------------------------------------------------------------------------
+
+
+def opinions():
+    """[row]: Mitsuba's pictures of the clouds against those of Cycles."""
+    return [opinion(shot) for shot in shots.shots() if shot.name in OPINIONS]
+
+
+def opinion(shot):
+    case, halves = shot.case, reference(shot)
+    edge = endtoend.EDGE * endtoend.VOXEL / 2
+    meter = pictures.Meter()
+    with meter():
+        found = peers.run(
+            "mitsuba_cloud",
+            density=case.density,
+            lower=np.full(3, -edge),
+            upper=np.full(3, edge),
+            sigma_t=case.sigma_t,
+            albedo=case.albedo,
+            g=case.g,
+            direction=np.array(case.suns[0][0]),
+            irradiance=1.0,
+            eye=np.array(endtoend.CAMERA),
+            angle=np.degrees(2 * np.arctan(18 / 80)),  # of a film of 36 mm behind 80 mm
+            pixels=pictures.SIZE,
+            samples=MITSUBA,
+            seeds=(1, 2),
+        )["pictures"]
+    theirs = np.repeat(found[..., None], 3, axis=-1).astype(float)
+    single = pictures.error(theirs[0], halves)
+    return {
+        "scene": shot.name,
+        "Mitsuba / Cycles": float(theirs.mean() / halves.mean()),
+        "standard error": pictures.noise(theirs) / pictures.SIZE,
+        "difference": pictures.distance(theirs, halves),
+        "of 4x4 means": pictures.distance(pictures.blocks(theirs), pictures.blocks(halves)),
+        "processor s of all": meter.processor,
+        "s to 6 %": meter.processor / 2 * (single / TARGET) ** 2,
+    }
+
+
+PARTS = {"flicker": flicker, "mitsuba": opinions}
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("parts", nargs="*", help="default: all")
-    chosen = parser.parse_args().parts
+    chosen = set(parser.parse_args().parts)
     lb_lighting.register()
     groups = {}
-    for shot in shots():
-        if not chosen or {shot.name, shot.group} & set(chosen):
+    for shot in shots.shots():
+        if not chosen or {shot.name, shot.group} & chosen:
             print(shot.name, flush=True)
             groups.setdefault(shot.group, []).append(rows_of(shot))
     for group, scenes in groups.items():
-        publish(
-            f"render-{group}", "Cycles on the processor", [row for rows in scenes for row in rows]
-        )
-        publish(f"render-{group}-summary", "Cycles on the processor", list(map(summary, scenes)))
+        publish(f"render-{group}", DEVICE, [row for rows in scenes for row in rows])
+        publish(f"render-{group}-summary", DEVICE, list(map(summary, scenes)))
+    for name, part in PARTS.items():
+        if not chosen or name in chosen:
+            publish(f"render-{name}", DEVICE, part())
 
 
 if __name__ == "__main__":

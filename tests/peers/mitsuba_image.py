@@ -31,7 +31,7 @@ from mitsuba import ScalarTransform4f as Transform  # noqa: E402 - only now ther
 MANY = 1_000_000  # collisions before Russian roulette
 
 
-def medium(problem, band):
+def medium(problem, band, filter_type="nearest"):
     """Mitsuba's grids have x fastest and fill [0, 1]^3."""
     extinction = problem["density"] * problem["sigma_t"][band]
     grid = np.ascontiguousarray(extinction.transpose(2, 1, 0)[..., None], np.float32)
@@ -41,7 +41,7 @@ def medium(problem, band):
         "sigma_t": {
             "type": "gridvolume",
             "grid": mi.VolumeGrid(grid),
-            "filter_type": "nearest",
+            "filter_type": filter_type,
             "to_world": Transform().translate(problem["lower"].tolist()).scale(size.tolist()),
         },
         "albedo": {
