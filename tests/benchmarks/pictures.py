@@ -74,8 +74,8 @@ def reference(facts, build, samples, bounces):
 
     facts  (name, whatever else the picture depends on); they are rendered once for the same facts
     """
-    digest = hashlib.sha256(repr((facts, samples, bounces, SIZE, SEEDS)).encode()).hexdigest()
-    path = REFERENCES / f"render-{facts[0].replace(' ', '-')}-{digest[:8]}.npz"
+    name = facts[0].replace(",", "").replace(" ", "-")
+    path = REFERENCES / f"render-{name}-{digest(facts, samples, bounces)}.npz"
     if not path.exists():
         build()
         halves = [picture(samples, bounces, seed) for seed in SEEDS]
@@ -85,17 +85,24 @@ def reference(facts, build, samples, bounces):
         return file["halves"].astype(float)
 
 
-def stored(name, halves, samples, bounces):
+def digest(facts, samples, bounces):
+    """Stands for all that a reference depends on."""
+    return hashlib.sha256(repr((facts, samples, bounces, SIZE, SEEDS)).encode()).hexdigest()[:8]
+
+
+def stored(facts, halves, samples, bounces):
     """The mean of a reference over that of the one in tests/references, where it is put if new."""
+    name, key = facts[0], digest(facts, samples, bounces)
     known, about = {}, {}
     if STORE.exists():
         with np.load(STORE) as file:
             about = json.loads(str(file["about"]))
-            known = {key: file[key] for key in about}
-    if name not in known:
+            known = {each: file[each] for each in about}
+    if name not in known or about[name]["of"] != key:
         small = blocks(halves)
         known[name] = small.mean(axis=0).astype(np.float16)
         about[name] = {
+            "of": key,
             "relative standard error of 4x4 means": noise(small),
             "made by": f"python -m tests.benchmarks.render '{name}'",
             "Cycles": f"{bounces} bounces, {samples} samples, seeds {SEEDS[0]} and {SEEDS[1]}",

@@ -3,9 +3,9 @@
 
     python -m tests.benchmarks.render [PART ...]
 
-PART is clouds, trees, smoke, teapot, flicker, mitsuba, or the name of a scene; default: all. Ours
-is what Bake makes with its defaults, rendered with the settings of Use LB Light. Each Cycles
-setting is rendered with several numbers of samples n; its error is fitted by
+PART is clouds, trees, smoke, teapot, flicker, mitsuba, forward, or the name of a scene; default:
+all. Ours is what Bake makes with its defaults, rendered with the settings of Use LB Light. Each
+Cycles setting is rendered with several numbers of samples n; its error is fitted by
 e^2 = bias^2 + variance / n and its cost by start + each n, which gives its time at any error.
 Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
@@ -37,6 +37,8 @@ FLICKER = 4  # samples of ours where pictures move
 FEW = 16  # of either half of the references of those
 MITSUBA = 8  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
+FORWARD = "cloud, albedo 0.99, g 0.85"
+OTHERWISE = {}, {"handover": 4.0}, {"mode": "ADD"}
 DEVICE = "Cycles on the processor"
 
 
@@ -56,7 +58,7 @@ def rows_of(shot):
         for (row, image), seen in zip(found, flips, strict=True)
     ]
     keep(shot.name, halves, images)
-    stored = pictures.stored(shot.name, halves, shot.half, shot.bounces[0])
+    stored = pictures.stored(shot.known_by, halves, shot.half, shot.bounces[0])
     return [{"scene": shot.name} | row | {"reference / stored": stored} for row in rows]
 
 
@@ -64,7 +66,7 @@ def reference(shot):
     """(2, SIZE, SIZE, 3): see `pictures.reference`."""
     with TemporaryDirectory() as folder:
         return pictures.reference(
-            (shot.name, *shot.facts), lambda: shot.build(Path(folder)), shot.half, shot.bounces[0]
+            shot.known_by, lambda: shot.build(Path(folder)), shot.half, shot.bounces[0]
         )
 
 
@@ -93,7 +95,7 @@ def by_cycles(shot, folder):
 def with_our_light(shot, folder):
     """(row, picture) for each number of samples; the first bake is not counted, as it compiles."""
     baked(shot, folder)
-    baking = baked(shot, folder)
+    baking, _ = baked(shot, folder)
     pictures.picture(1)
     for samples in OURS:
         meter = pictures.Meter()
@@ -101,14 +103,17 @@ def with_our_light(shot, folder):
         yield cost("ours", samples, meter) | {"bake, processor s": baking.processor}, image
 
 
-def baked(shot, folder):
-    """The `Meter` of lighting the scene, which then is ready to be rendered."""
+def baked(shot, folder, **changes):
+    """(`Meter`, `Outcome`) of lighting the scene, which then is ready to be rendered.
+
+    changes  of the default options
+    """
     objects = shot.build(folder)
     meter = pictures.Meter()
     with meter():
-        bake.bake(bpy.context, objects, bake.Options(folder=str(folder)))
+        outcome = bake.bake(bpy.context, objects, bake.Options(folder=str(folder), **changes))
         shading.use_light(bpy.context.scene)
-    return meter
+    return meter, outcome
 
 
 def cost(light, samples, meter):
@@ -227,7 +232,7 @@ def flicker():
         ours, meter = [], pictures.Meter()
         baked(frames[0], folder)
         for number, frame in enumerate(frames):
-            meter.add(baked(frame, folder))
+            meter.add(baked(frame, folder)[0])
             ours.append(pictures.picture(FLICKER, seed=number, meter=meter))
         found = {("ours", FLICKER): (meter, ours)}
         samples = affordable(frames[0], folder, meter.processor / len(frames))
@@ -306,7 +311,31 @@ def opinion(shot):
     }
 
 
-PARTS = {"flicker": flicker, "mitsuba": opinions}
+# --- Light that goes on forwards -----------------------------------------------------------------
+
+
+def forward():
+    """[row]: the cloud that is too dark, baked otherwise: is it the light, or how it is shown?"""
+    shot = next(shot for shot in shots.shots() if shot.name == FORWARD)
+    halves, rows = reference(shot), []
+    with TemporaryDirectory() as name:
+        for changes in OTHERWISE:
+            baking, outcome = baked(shot, Path(name), **changes)
+            meter = pictures.Meter()
+            image = pictures.picture(16 if "mode" in changes else 1, meter=meter)
+            rows.append(
+                {
+                    "options": str(changes) if changes else "default",
+                    "bake, processor s": baking.processor,
+                    "picture, processor s": meter.processor,
+                    "mean fluence, W/m^2": float(outcome.field.fluence.mean()),
+                    **figures(image, halves, shot.block),
+                }
+            )
+    return rows
+
+
+PARTS = {"flicker": flicker, "mitsuba": opinions, "forward": forward}
 
 
 def main():

@@ -55,6 +55,10 @@ class Shot:
     block: int = 1
     case: endtoend.Case | None = None
 
+    @property
+    def known_by(self):
+        return self.name, *self.facts
+
 
 def shots():
     """Every `Shot` of one picture."""
