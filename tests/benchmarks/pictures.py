@@ -118,16 +118,16 @@ def error(found, halves):
     """Relative RMSE over pixels and bands, against what the two `halves` are noisy pictures of.
 
     Their noise is independent, so it drops out of the mean of products, as long as `found` has
-    neither's seed.
+    neither's seed. What is less than the standard error of that mean counts as that.
     """
-    square = np.mean((found - halves[0]) * (found - halves[1]))
-    return float(np.sqrt(max(0.0, square) / np.mean(halves[0] * halves[1])))
+    return distance((found, found), halves)
 
 
 def distance(found, halves):
     """The same of two `found` halves, whose own noise drops out, too."""
-    square = np.mean((found[0] - halves[0]) * (found[1] - halves[1]))
-    return float(np.sqrt(max(0.0, square) / np.mean(halves[0] * halves[1])))
+    products = ((found[0] - halves[0]) * (found[1] - halves[1])).mean(axis=-1)
+    least = products.std() / np.sqrt(products.size)
+    return float(np.sqrt(max(least, products.mean()) / np.mean(halves[0] * halves[1])))
 
 
 def flicker(found, halves):

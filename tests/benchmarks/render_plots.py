@@ -44,17 +44,18 @@ def curves(group, scenes):
     """Error against processor time, a panel for each scene."""
     columns = min(2, len(scenes))
     lines = -(-len(scenes) // columns)
-    size = (4.2 * columns, 3 * lines)
+    size = (4.2 * columns, 3 * lines + 0.4)
     figure, panels = plt.subplots(lines, columns, figsize=size, squeeze=False)
     for panel, (scene, rows) in zip(panels.ravel(), scenes.items(), strict=True):
         draw(panel, rows)
         panel.set_title(scene, fontsize=8)
-    panels[0, 0].legend(fontsize=6, frameon=False)
     for panel in panels[-1]:
         panel.set_xlabel("processor time, s", fontsize=8)
     for panel in panels[:, 0]:
         panel.set_ylabel("error", fontsize=8)
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0.12 / lines, 1, 1))
+    handles = panels[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, fontsize=6, frameon=False, loc="lower center", ncols=2 * columns)
     save(figure, f"curves-{group}")
 
 
@@ -78,6 +79,7 @@ def draw(panel, rows):
     panel.set_yscale("log")
     panel.set_yticks(TICKS, [f"{100 * tick:g} %" for tick in TICKS])
     panel.yaxis.set_minor_locator(NullLocator())
+    panel.xaxis.set_minor_formatter("")
     panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     panel.spines[["top", "right"]].set_visible(False)
     panel.tick_params(labelsize=7)

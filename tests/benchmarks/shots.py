@@ -25,6 +25,7 @@ TREES = (
     ("white", WHITE, "sun"),
     ("white", WHITE, "white sky"),
 )
+SAMPLES = 4, 16, 64  # of Cycles
 FRAMES = 12
 FLAME = (1.0, 0.45, 0.15)  # colour
 STRENGTH = 12.0  # W/(m^3 sr) where the grid `flame` is 1
@@ -43,6 +44,7 @@ class Shot:
     bounces  of Cycles: those of the reference, then fewer
     half     samples of either half of the reference
     block    pixels along the edge of the means that the error which counts is of
+    ours     samples of our pictures: as many as Cycles has where the edges of leaves are the noise
     case     the medium, of a cloud
     """
 
@@ -53,6 +55,7 @@ class Shot:
     bounces: tuple
     half: int
     block: int = 1
+    ours: tuple = (1, 4, 16)
     case: endtoend.Case | None = None
 
     @property
@@ -100,7 +103,8 @@ def trees():
             return objects
 
         facts = (colors, crowns.BARK, *crowns.SUN, crowns.IRRADIANCE, crowns.RADIANCE, lights)
-        yield Shot(f"{name} tree, {lights}", "trees", build, facts, (32, 12, 4), 64, block=4)
+        name = f"{name} tree, {lights}"
+        yield Shot(name, "trees", build, facts, (32, 12, 4), 64, block=4, ours=SAMPLES)
 
 
 # --- Smoke ---------------------------------------------------------------------------------------
@@ -139,6 +143,7 @@ def plume(frame):
 
 
 def let_shine(material):
+    """The grid `flame` becomes light."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
     volume = next(node for node in nodes if node.type == "PRINCIPLED_VOLUME")
     grid, times = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeMath")
