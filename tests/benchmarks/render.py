@@ -3,20 +3,22 @@
 
     python -m tests.benchmarks.render [PART ...]
 
-PART is clouds, trees, smoke, teapot, flicker, mitsuba, forward, or the name of a scene; default:
-all. Ours is what Bake makes with its defaults, rendered with the settings of Use LB Light. Each
-Cycles setting is rendered with several numbers of samples n; its error is fitted by
+PART is clouds, trees, smoke, teapot, flicker, mitsuba, forward, around, or the name of a scene;
+default: all. Ours is what Bake makes with its defaults, rendered with the settings of Use LB
+Light. Each Cycles setting is rendered with several numbers of samples n; its error is fitted by
 e^2 = bias^2 + variance / n and its cost by start + each n, which gives its time at any error.
 Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
 import argparse
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 bpy.utils.expose_bundled_modules()
 
@@ -38,6 +40,13 @@ MITSUBA = 32  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
 FORWARD = "cloud, albedo 0.99, g 0.85"
 OTHERWISE = {}, {"handover": 4.0}, {"mode": "ADD"}
+CAMERAS = {
+    "on the sun's side": (-2.4, -0.9, 1.5),
+    "in front": endtoend.CAMERA,
+    "aside": (0.9, -2.8, 0.6),
+    "against the sun": (2.4, 0.9, -1.2),
+}
+AROUND = 24  # samples of Cycles from each of them; the means are known to some 3 %
 DEVICE = "Cycles on the processor"
 
 
@@ -336,7 +345,28 @@ def forward():
     return rows
 
 
-PARTS = {"flicker": flicker, "mitsuba": opinions, "forward": forward}
+def around():
+    """[row]: the same cloud from other sides, by default; its mean over that of Cycles."""
+    shot = next(shot for shot in shots.shots() if shot.name == FORWARD)
+
+    def seen_from(place, *settings):
+        camera = bpy.context.scene.camera
+        camera.location = place
+        camera.rotation_euler = (-Vector(place)).to_track_quat("-Z", "Y").to_euler()
+        return pictures.picture(*settings).mean()
+
+    with TemporaryDirectory() as name:
+        shot.build(Path(name))
+        wanted = [seen_from(place, AROUND, shot.bounces[0]) for place in CAMERAS.values()]
+        baked(shot, Path(name))
+        found = [seen_from(place, 1) for place in CAMERAS.values()]
+    return [
+        {"camera": camera, "ours / Cycles": float(ours / theirs)}
+        for camera, ours, theirs in zip(CAMERAS, found, wanted, strict=True)
+    ]
+
+
+PARTS = {"flicker": flicker, "mitsuba": opinions, "forward": forward, "around": around}
 
 
 def main():
@@ -344,12 +374,9 @@ def main():
     parser.add_argument("parts", nargs="*", help="default: all")
     chosen = set(parser.parse_args().parts)
     lb_lighting.register()
-    groups = {}
-    for shot in shots.shots():
-        if not chosen or {shot.name, shot.group} & chosen:
-            print(shot.name, flush=True)
-            groups.setdefault(shot.group, []).append(rows_of(shot))
-    for group, scenes in groups.items():
+    wanted = [s for s in shots.shots() if not chosen or {s.name, s.group} & chosen]
+    for group, some in groupby(wanted, key=lambda shot: shot.group):
+        scenes = [rows_of(shot) for shot in some]
         publish(f"render-{group}", DEVICE, [row for rows in scenes for row in rows])
         publish(f"render-{group}-summary", DEVICE, list(map(summary, scenes)))
     for name, part in PARTS.items():
