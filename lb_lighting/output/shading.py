@@ -30,7 +30,7 @@ from .groups import (
 )
 from .modifier import has_modifier
 from .ours import TAG, find_ours, give_back, is_ours, is_overridden, override
-from .vdb import AXES, direct_grid
+from .vdb import AXES, direct_grid, forward_grid
 from .volume import baked_volumes
 
 # Nodes that hand on the closures of others.
@@ -109,6 +109,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
     sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, scalar or (3,)
     g                 mean cosine of the scattering angle, scalar or (3,)
     beams             the `Sun`, `PointLight` or `SpotLight` of each grid `direct_grid(1)` ...
+                      and `forward_grid(1)` ...
     core              m, that of the falloff of points and spots: an edge of a voxel
     strength          factor on the light, dimensionless
     """
@@ -123,8 +124,13 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
     inputs["G"].default_value = _triple(g)
     inputs["Replace"].default_value = mode == "REPLACE"
     target = inputs["Direct"]
-    for number, beam in enumerate(beams, 1):
-        target = _insert_beam(material.node_tree, target, number, beam, core, _triple(g))
+    once = _triple(g)
+    # Light that has scattered before goes about the way of the beam, its mean cosine to that is g.
+    twice = tuple(v * v for v in once)
+    kinds = [(direct_grid, once)] + [(forward_grid, twice)] * (max(once) > 0)
+    grids = [(grid(n), beam, own) for n, beam in enumerate(beams, 1) for grid, own in kinds]
+    for number, (grid, beam, own) in enumerate(grids, 1):
+        target = _insert_beam(material.node_tree, target, number, grid, beam, core, own)
 
 
 def wire_ambient(material, strength=1.0):
@@ -354,8 +360,9 @@ def _volume_material(volume):
     return material
 
 
-def _insert_beam(tree, target, number, beam, core, g):
-    """Add light number `number`, from 1, to the socket `target`; the socket for the next one."""
+def _insert_beam(tree, target, number, name, beam, core, g):
+    """Add a beam's grid, the `number`-th, from 1, to the socket `target`; the socket for the next
+    one."""
     x, y = -250 * number, -300
 
     def new(kind, down):
@@ -367,10 +374,10 @@ def _insert_beam(tree, target, number, beam, core, g):
     node = new("ShaderNodeGroup", 0)
     node.location.x = x
     node.node_tree = beam_group()
-    node.label = direct_grid(number)
+    node.label = name
     node.inputs["G"].default_value = g
     grid = new("ShaderNodeAttribute", 0)
-    grid.attribute_name = direct_grid(number)
+    grid.attribute_name = name
     light = grid.outputs["Vector"]
     if isinstance(beam, Sun):
         length = math.hypot(*beam.direction)

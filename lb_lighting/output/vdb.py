@@ -11,7 +11,7 @@ import numpy as np
 import openvdb
 
 from ..errors import OutputError
-from ..transport.lights import PointLight, SpotLight, Sun
+from ..transport.lights import BEAMS, Sun
 
 LIGHT_GRID = "lb_light"
 AXES = ("X", "Y", "Z")
@@ -22,7 +22,6 @@ STAMP = "lb_lighting:"  # keeps our metadata apart from OpenVDB's own keys (name
 
 # Cubic interpolation, the widest that Cycles has, reads two voxels away.
 MARGIN = 2
-BEAMS = Sun, PointLight, SpotLight  # lights whose unscattered light comes from one direction
 _SPHERE = np.float32(4 * np.pi)  # sr
 
 
@@ -32,33 +31,41 @@ def volume_light(field, lights, mode):
     light   (bands, nx, ny, nz) W/(m^2 sr), mean radiance of what comes from many directions
     others  {name of a grid: (bands, nx, ny, nz)}: lb_flux_x ... are the components of the net flux
             of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance of the
-            unscattered light that comes from one direction: in W/(m^2 sr) of a sun; in W/sr, over
-            the lamp's falloff with a core of a voxel, of a point or spot
+            unscattered light that comes from one direction, and lb_forward_1 ... of what has
+            scattered by small angles alone since: in W/(m^2 sr) of a sun; in W/sr, over the lamp's
+            falloff with a core of a voxel, of a point or spot
     beams   the Sun, PointLight or SpotLight of each lb_direct
 
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
     Of the paper's field all is shown as if it came evenly from all sides.
     """
-    fluence, flux, beams, unscattered = field.fluence, field.flux, [], ()
     if field.by_light is None:
-        return (fluence + field.direct) / _SPHERE, {}, []
+        return (field.fluence + field.direct) / _SPHERE, {}, []
+    of_beam = np.array([isinstance(light, BEAMS) for light in lights], bool)
+    beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
+    fluence, flux, grids = field.fluence, field.flux, []
     if mode == "REPLACE":
-        of_beam = np.array([isinstance(light, BEAMS) for light in lights], bool)
-        beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
-        unscattered = field.by_light[of_beam]
+        grids.append((direct_grid, field.by_light[of_beam]))
         # Rounding leaves less than nothing where beams are all there is.
-        fluence = fluence + np.maximum(field.direct - unscattered.sum(axis=0), 0)
-        if field.direct_flux is not None:
-            toward = [_toward(light, field.domain) for light in beams]
-            own = sum(d * v[:, None] for d, v in zip(toward, unscattered, strict=True))
-            flux = flux + field.direct_flux - own
+        fluence = fluence + np.maximum(field.direct - field.by_light[of_beam].sum(axis=0), 0)
+        flux = flux if field.direct_flux is None else flux + field.direct_flux
+    if field.forward is not None and field.forward[of_beam].any():
+        # Left in the flux, it would hide light that comes back the other way.
+        grids.append((forward_grid, np.minimum(field.forward[of_beam], field.fluence)))
+    others = {}
+    for name, own in grids:
+        for number, (beam, light) in enumerate(zip(beams, own, strict=True), 1):
+            if name is forward_grid:
+                fluence = fluence - light
+            if name is forward_grid or field.direct_flux is not None:
+                flux = flux - _toward(beam, field.domain) * light[:, None]
+            # About a lamp light falls off too fast to be read between voxels; the rest is even.
+            steep = 1 if isinstance(beam, Sun) else _falloff(beam, field.domain)
+            others[name(number)] = light / (_SPHERE * steep)
+    fluence = np.maximum(fluence, 0)  # of several beams forward light may be more than there is
     drift = _drift(fluence, flux)
-    others = {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
-    for number, (beam, own) in enumerate(zip(beams, unscattered, strict=True), 1):
-        # About a lamp light falls off too fast to be read between voxels; what is left is even.
-        steep = 1 if isinstance(beam, Sun) else _falloff(beam, field.domain)
-        others[direct_grid(number)] = own / (_SPHERE * steep)
-    return fluence / _SPHERE, others, beams
+    others |= {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
+    return fluence / _SPHERE, others, beams if grids else []
 
 
 def _toward(light, domain):
@@ -90,6 +97,12 @@ def flux_grid(axis):
 def direct_grid(number):
     """The name of the grid of the unscattered light of beam `number`, from 1."""
     return f"lb_direct_{number}"
+
+
+def forward_grid(number):
+    """The name of the grid of the light of beam `number`, from 1, that has scattered by small
+    angles alone."""
+    return f"lb_forward_{number}"
 
 
 def write_vdb(path, domain, density, light, metadata, others=None, everywhere=None):

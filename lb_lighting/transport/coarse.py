@@ -22,7 +22,7 @@ def coarse(light, pieces):
 def put_together(unscattered, scattered, pieces):
     """The `Field` of a medium: unscattered light of its own voxels, scattered of merged ones."""
     shape = unscattered.domain.shape
-    names = ("fluence", "flux", "variance")
+    names = ("fluence", "flux", "variance", "forward")
     grids = {name: _between(getattr(scattered, name), pieces, shape) for name in names}
     return replace(unscattered, report=scattered.report, **grids)
 

@@ -108,6 +108,8 @@ class Field:
               in which they were given, without the medium's own emission; None where it is not
               known apart
     direct_flux  (bands, 3, nx, ny, nz) W/m^2, net flux of what `direct` counts, or None
+    forward   (lights, bands, nx, ny, nz) W/m^2, the part of `fluence` that has scattered by small
+              angles alone and still goes about the way of each light; None where it is not known
     """
 
     domain: Domain
@@ -119,6 +121,7 @@ class Field:
     handed: Handed | None = None
     by_light: np.ndarray | None = None
     direct_flux: np.ndarray | None = None
+    forward: np.ndarray | None = None
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

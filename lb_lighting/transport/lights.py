@@ -815,3 +815,6 @@ def _of_band(radiance, bands, band):
     radiance = radiance.reshape(len(radiance), -1)
     by_band(radiance[0], bands)  # refuses another number of bands
     return np.broadcast_to(radiance, (len(radiance), bands))[:, band]
+
+
+BEAMS = Sun, PointLight, SpotLight  # lights whose unscattered light comes from one direction

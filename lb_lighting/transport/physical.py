@@ -19,7 +19,7 @@ from .coarse import coarse, put_together
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
-from .lights import FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
+from .lights import BEAMS, FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
 from .physical_numpy import NumpyLattice, Source
 from .settle import settle
 from .thick import divided, merged, wished_pieces
@@ -77,7 +77,7 @@ def plan(shape, settings, device, bands, occluded, lights=4):
         rest = (device, bands, occluded, lights)
         buffers, host = plan(shape, replace(settings, scattering="single"), *rest)
         more, more_host = plan(large, replace(settings, merge=1), *rest)
-        kept = bands * (2 + 3 + 3 + lights) * 4 * prod(shape)
+        kept = bands * (2 + 3 + 3 + 2 * lights) * 4 * prod(shape)
         buffers = max(buffers, more, key=lambda needs: sum(needs.values()))
         return buffers, max(host, kept + more_host)
     rays, casting = direct.plan(shape, occluded)
@@ -85,8 +85,8 @@ def plan(shape, settings, device, bands, occluded, lights=4):
     lattice = {} if single else _lattice_class(device).buffers(shape, occluded)
     voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
-    fields = bands * (1 + 1 + 3 + 3 + lights + traced) * 4
-    band, handed = 7 * 8 + lights * 4, 8 * 8  # its light, and what is handed over
+    fields = bands * (1 + 1 + 3 + 3 + 2 * lights + traced) * 4
+    band, handed = 7 * 8 + 2 * lights * 4, 8 * 8  # its light, and what is handed over
     casts = 2 * (11 + 7 * occluded) * 4  # with the forward peak, and without
     # One after the other, not both at once: rays, and the lattice with its source made ready.
     needs = [
@@ -113,10 +113,10 @@ def _lattice_class(device):
     return OpenCLLattice
 
 
-def _stands_within(light, domain):
-    return bool(
-        np.all((light.position >= np.array(domain.origin)) & (light.position <= domain.upper))
-    )
+def is_within(light, domain):
+    """Whether a light with a position stands in a `Domain`."""
+    place = np.asarray(light.position)
+    return bool(np.all((place >= domain.origin) & (place <= domain.upper)))
 
 
 def _refuse_unfit(medium, lights):
@@ -201,6 +201,7 @@ class _Band:
     flux: np.ndarray
     direct_flux: np.ndarray
     by_light: np.ndarray
+    forward: np.ndarray
     energy: dict
     residual: float = 0.0
     steps: int = 0
@@ -209,9 +210,9 @@ class _Band:
     @classmethod
     def dark(cls, shape, lights):
         energy = {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
-        by_light = np.zeros((lights, *shape), np.float32)
+        by_light, forward = np.zeros((2, lights, *shape), np.float32)
         fluxes = np.zeros((2, 3, *shape), np.float32)
-        return cls(np.zeros(shape), *fluxes, by_light, energy)
+        return cls(np.zeros(shape), *fluxes, by_light, forward, energy)
 
     def add_unscattered(self, number, cast):
         self.by_light[number] += cast.direct
@@ -295,6 +296,7 @@ class _Work:
             flux=np.zeros((bands, 3, *shape), np.float32),
             report=Report("physical", self.device.label, energy=energy),
             by_light=np.zeros((lights, bands, *shape), np.float32),
+            forward=np.zeros((lights, bands, *shape), np.float32),
             direct_flux=np.zeros((bands, 3, *shape), np.float32),
         )
 
@@ -330,6 +332,9 @@ class _Work:
                 for number, part in _parts(lights):
                     cast = self._cast(medium, box, part, band, medium.sigma_t[band], shadowed=False)
                     lit.add_unscattered(number, cast)
+                    if isinstance(part, BEAMS):
+                        ahead = self._cast_forward(medium, box, part, band, cast, shadowed=False)[0]
+                        lit.forward[number] += ahead.direct - cast.direct
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
         self._tell("solve", self.begun + self.share)
@@ -371,23 +376,27 @@ class _Work:
             if _is_uniform(part, medium, band):
                 self._take_missing(medium, part, band, unscattered, handover, lit)
             else:
-                self._take_collided(medium, part, band, unscattered, handover, lit)
+                ahead = self._take_collided(medium, part, band, unscattered, handover, lit)
+                lit.forward[number] += ahead
             lit.add_unscattered(number, unscattered)
         return handover
 
     def _take_collided(self, medium, light, band, unscattered, handover, lit):
-        """Hand over the first collisions of a light."""
+        """Hand over the first collisions of a light; what of it is scattered straight on."""
         cast, share, straight = self._cast_forward(medium, handover.box, light, band, unscattered)
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
             handover.add_reflected(cast.reflected)
+        ahead = 0.0
         if cast is not unscattered:  # the forward peak; in place, for these are large
-            lit.fluence += np.subtract(cast.direct, unscattered.direct, out=cast.direct)
+            ahead = np.subtract(cast.direct, unscattered.direct, out=cast.direct)
+            lit.fluence += ahead
             lit.flux += np.subtract(cast.flux, unscattered.flux, out=cast.flux)
         collided = cast.collided.power.sum(dtype=float)
         lit.energy["entered"] += cast.entered
         lit.energy["absorbed"] += cast.stopped + (1 - share) * collided
         lit.energy["left"] += cast.left
+        return ahead
 
     def _take_missing(self, medium, sky, band, unscattered, handover, lit):
         """Hand over what absorption takes from a uniform sky, as light that is missing.
@@ -411,7 +420,7 @@ class _Work:
         lit.energy["entered"] += through_faces.sum()
         lit.energy["left"] += through_faces - cast.left
 
-    def _cast_forward(self, medium, box, light, band, unscattered):
+    def _cast_forward(self, medium, box, light, band, unscattered, shadowed=True):
         """(`direct.Cast`, share of its collisions that scatters, mean cosine of that).
 
         The forward peak counts as unscattered: of what scatters, the share f = g^2 goes straight
@@ -422,12 +431,12 @@ class _Work:
         """
         albedo, g = medium.albedo[band], medium.g[band]
         # A soft lamp dims what comes from it, not what goes on from a collision beside it.
-        soft = getattr(light, "radius", 0) > 0 and _stands_within(light, medium.domain)
+        soft = getattr(light, "radius", 0) > 0 and is_within(light, medium.domain)
         forward = 0.0 if soft else max(g, 0.0) ** 2
         cast = unscattered
         if forward > 0 or cast is None:
             less = medium.sigma_t[band] - forward * medium.sigma_s[band]
-            cast = self._cast(medium, box, light, band, less)
+            cast = self._cast(medium, box, light, band, less, shadowed)
         share = albedo * (1 - forward) / (1 - albedo * forward)
         return cast, share, (g - forward) / (1 - forward)
 
@@ -565,10 +574,11 @@ def _take(field, lit, numbers, band, factor):
     def add(grid, values):
         grid[band] += values if factor == 1 else factor * values
 
-    for number, light in zip(numbers, lit.by_light, strict=True):
+    for number, light, ahead in zip(numbers, lit.by_light, lit.forward, strict=True):
         add(field.direct, light)
         if number < given:
             add(field.by_light[number], light)
+            add(field.forward[number], ahead)
     add(field.direct_flux, lit.direct_flux)
     add(field.fluence, lit.fluence)
     add(field.flux, lit.flux)

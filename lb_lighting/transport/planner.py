@@ -17,6 +17,7 @@ from . import device as devices
 from .coarse import coarse
 from .crop import Box
 from .lights import FEW_VOXELS
+from .physical import is_within
 from .solver import Settings, require_memory, solve
 
 # The relative error (L2) of all light that each quality is to keep to.
@@ -116,10 +117,13 @@ def plan(medium, lights, quality="final", device=None, fixed=None, cancel=None):
     base = replace(Settings(tolerance=_STOP * target), **fixed)
     pilot = _fly(medium, lights, base, target, device, cancel, most if thin else None)
     edge, choices = max(medium.shape), []
-    for settings in _candidates(base, fixed, edge):
+    # Photons do not know of a lamp's radius, which counts where it stands in the medium.
+    soft = any(getattr(light, "radius", 0) and is_within(light, medium.domain) for light in lights)
+    for settings in _candidates(base, fixed, edge, (0.0,) if soft else _HANDOVERS):
         settings, error = _expected_error(settings, pilot, medium, edge, target)
         choices.append((_expected_seconds(settings, pilot, medium, edge), error, settings))
-    choices.sort(key=lambda choice: choice[0])
+    # Noise is seen more than an even error of the same size is.
+    choices.sort(key=lambda choice: (choice[2].handover > 0, choice[0]))
     good = [choice for choice in choices if choice[1] <= _SAFE * target]
     rest = sorted(choices, key=lambda choice: choice[1])
     seconds, error, settings, needed = _first_that_fits([*good, *rest], medium, lights, device)
@@ -166,7 +170,7 @@ def _fly(medium, lights, base, target, device, cancel, thin):
     be known, or None."""
     pieces = ceil(max(medium.shape) / _PILOT)
     small = medium if pieces == 1 else medium.merged(pieces)
-    lights = [coarse(light, pieces) for light in lights]
+    lights = [_as_a_point(coarse(light, pieces)) for light in lights]
 
     def solved(**changes):
         settings = replace(base, scattering="multiple", merge=1, handover=0.0, photons=None)
@@ -189,6 +193,10 @@ def _fly(medium, lights, base, target, device, cancel, thin):
         handover = 4.0 if far else inf
         traced = [solved(handover=handover, seed=n, photons=p) for n, p in enumerate(_PHOTONS)]
     return _seen(small, half, whole, seconds, traced, handover)
+
+
+def _as_a_point(light):
+    return replace(light, radius=0.0) if getattr(light, "radius", 0) else light
 
 
 def _unless_too_dark(solved, **changes):
@@ -252,7 +260,7 @@ def _collisions(medium, field):
 # --- What a way of solving should come to --------------------------------------------------------
 
 
-def _candidates(base, fixed, edge):
+def _candidates(base, fixed, edge, handovers):
     """`Settings` to choose from: all combinations that leave what is fixed as it is."""
     if _may_be_single(fixed):
         yield replace(base, scattering="single")
@@ -260,7 +268,7 @@ def _candidates(base, fixed, edge):
         return
     merges = [m for m in _MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
     for merge in [fixed["merge"]] if "merge" in fixed else merges:
-        for handover in [fixed["handover"]] if "handover" in fixed else _HANDOVERS:
+        for handover in [fixed["handover"]] if "handover" in fixed else handovers:
             yield replace(base, merge=merge, handover=handover)
 
 

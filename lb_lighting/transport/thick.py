@@ -62,6 +62,6 @@ def merged(field, pieces):
         shape=tuple(n // pieces for n in domain.shape),
     )
     variance = None if field.variance is None else mean(field.variance) / pieces**3
-    names = ("fluence", "direct", "flux", "direct_flux", "by_light")
+    names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
     grids = {name: mean(getattr(field, name)) for name in names}
     return replace(field, domain=coarse, variance=variance, handed=None, **grids)

@@ -146,6 +146,29 @@ class TestVolumeLight:
         assert others["lb_flux_z"] == pytest.approx(-0.5)
         assert beams == []
 
+    @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+    def test_light_of_small_angles_stays_with_its_beam(self, mode):
+        """It is no part of what comes from many directions any more, nor of the flux of that."""
+        field = self.field()
+        field.direct_flux = np.zeros_like(field.flux)
+        field.direct_flux[:, 2] = -2.1  # the sun's; that of the others is left out
+        field.forward = np.zeros_like(field.by_light)
+        field.forward[0] = 0.25
+        light, others, beams = volume_light(field, [self.LIGHTS[0], Sky(1.0), Sky(1.0)], mode)
+        assert beams == [self.LIGHTS[0]]
+        assert others["lb_forward_1"] == self.radiance(0.25)
+        rest = 0.75 + (7.2 if mode == "REPLACE" else 0)
+        assert light == self.radiance(rest)
+        expected = np.full(self.SHAPE, (-0.5 + 0.25) / rest)
+        assert others["lb_flux_z"] == pytest.approx(expected, abs=1e-6)
+
+    def test_light_of_small_angles_is_no_more_than_there_is(self):
+        field = self.field()
+        field.forward = 3 * np.ones_like(field.by_light)
+        light, others, _beams = volume_light(field, self.LIGHTS, "ADD")
+        assert others["lb_forward_1"] == self.radiance(1)
+        assert not light.any()
+
     def test_flux_is_no_more_than_the_fluence(self):
         field = self.field()
         field.flux[0] *= 3

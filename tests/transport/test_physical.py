@@ -503,3 +503,26 @@ def test_the_papers_model_has_no_residual_to_tell():
     medium = Medium(np.ones((6, 6, 6)), 1.0, 0.5, 0.01)
     solve(medium, [Sun((0, 0, -1), 1.0)], Settings("paper"), "NumPy", residual=told.append)
     assert told == []
+
+
+@pytest.mark.parametrize("handover", [0.0, 2.0])
+def test_light_of_small_angles_is_told_apart(handover):
+    """It is what a medium of less extinction would let pass, over what this one does; through
+    columns of constant depth both are known."""
+    g, sigma_s, n = 0.8, 6.0, 12
+    medium = Medium(np.ones((n,) * 3), 1 / n, sigma_s, 0.0, g)
+    settings = Settings(handover=handover, photons=20_000)
+    field = solve(medium, [Sun((0, 0, -1), 2.0), Sky(lambda d: 1.0 + d[..., 2])], settings)
+    edges = np.linspace(1, 0, n + 1)  # m below the face, from the lowest voxel up
+    passes = [
+        2.0 * -np.diff(np.exp(-sigma * edges)) / (sigma / n) * -1
+        for sigma in (sigma_s, (1 - g**2) * sigma_s)
+    ]
+    expected = np.abs(passes[1]) - np.abs(passes[0])
+    np.testing.assert_allclose(field.forward[0, 0, 4, 5], expected, rtol=1e-4)
+    np.testing.assert_allclose(field.by_light[0, 0, 4, 5], np.abs(passes[0]), rtol=1e-4)
+
+
+def test_without_a_forward_peak_there_is_no_such_light():
+    medium = Medium(np.ones((8,) * 3), 1.0, 1.0, 0.1, -0.3)
+    assert not solve(medium, [Sun((0, 0, -1), 2.0)]).forward.any()

@@ -160,6 +160,22 @@ def test_larger_domains_are_foretold_from_small_ones():
     assert forward == 8 / 4 / 2 + small
 
 
+def test_photons_are_not_sent_by_soft_lamps_inside():
+    """They would be too bright: photons come from a point."""
+    medium = cube(depth=10, g=0.85)
+    lamps = [PointLight((0.5, 0.4, 0.5), 1.0, radius) for radius in (0.0, 0.2)]
+    hard, soft = (plan(medium, [lamp], "reference") for lamp in lamps)
+    assert hard.settings.handover > 0
+    assert soft.settings.handover == 0
+    outside = PointLight((0.5, 0.4, 1.5), 1.0, 0.2)
+    assert plan(medium, [outside], "reference").settings.handover > 0
+
+
+def test_no_noise_is_made_where_none_is_needed():
+    chosen = plan(cube(depth=2), [SUN], "draft")
+    assert chosen.settings.handover == 0
+
+
 def test_it_can_be_cancelled():
     with pytest.raises(Cancelled):
         plan(cube(), [SUN], "final", cancel=lambda: True)
