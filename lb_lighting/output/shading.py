@@ -127,7 +127,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
     once = _triple(g)
     # Light that has scattered before goes about the way of the beam, its mean cosine to that is g.
     twice = tuple(v * v for v in once)
-    kinds = [(direct_grid, once)] + [(forward_grid, twice)] * (max(once) > 0)
+    kinds = [(direct_grid, once), *([(forward_grid, twice)] if max(once) > 0 else [])]
     grids = [(grid(n), beam, own) for n, beam in enumerate(beams, 1) for grid, own in kinds]
     for number, (grid, beam, own) in enumerate(grids, 1):
         target = _insert_beam(material.node_tree, target, number, grid, beam, core, own)

@@ -314,7 +314,7 @@ def _expected_seconds(settings, pilot, medium, edge):
         seconds += photons * pilot.trace * _path(settings.handover, pilot, medium)
     if settings.handover != inf and pilot.steps[0]:
         now, before = pilot.steps
-        growth = min(max(np.log2(now / before), 0.0), 1.0)
+        growth = min(max(np.log2(now / before), 0.0), 1.0) if before else 1.0
         seconds += pilot.solve * (large / pilot.edge) ** (3 + growth)
     return float(seconds)
 

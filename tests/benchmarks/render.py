@@ -4,9 +4,10 @@
     python -m tests.benchmarks.render [PART ...]
 
 PART is clouds, trees, smoke, teapot, flicker, mitsuba, forward, around, or the name of a scene;
-default: all. Ours is what Bake makes with its defaults, rendered with the settings of Use LB
-Light. Each Cycles setting is rendered with several numbers of samples n; its error is fitted by
-e^2 = bias^2 + variance / n and its cost by start + each n, which gives its time at any error.
+default: all. Ours is what Bake makes with the quality Custom, whose defaults are the lattice alone
+in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is rendered with
+several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and its cost by
+start + each n, which gives its time at any error.
 Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
@@ -119,7 +120,8 @@ def baked(shot, folder, **changes):
     objects = shot.build(folder)
     meter = pictures.Meter()
     with meter():
-        outcome = bake.bake(bpy.context, objects, bake.Options(folder=str(folder), **changes))
+        options = bake.Options(folder=str(folder), **{"quality": "CUSTOM"} | changes)
+        outcome = bake.bake(bpy.context, objects, options)
         shading.use_light(bpy.context.scene)
     return meter, outcome
 

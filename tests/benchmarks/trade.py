@@ -121,6 +121,7 @@ def planned():
     """Every quality in the media above, and in random ones."""
     references, found = References("trade"), device.choose()
     for case in [*trade_cases(), *random_cases()]:
+        print(case.name, flush=True)  # as some take a minute
         for quality, target in planner.TARGETS.items():
             plan = planner.plan(case.medium, case.lights, quality, found.label)
             start = perf_counter()

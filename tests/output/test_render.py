@@ -258,7 +258,9 @@ def test_a_second_bake_has_its_own_beams(tmp_path):
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["two suns and a point"])
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["sun"])
     nodes = ob.active_material.node_tree.nodes
-    assert len(nodes) == 4  # the light, its output, one beam and its grid
+    assert len(nodes) == 6  # the light, its output, one beam, unscattered and forward, with grids
+    shade_volume(ob, "REPLACE", THIN, 0.0, 0.0, BEAMS["sun"])
+    assert len(nodes) == 4  # nothing goes on forwards
     shade_volume(ob, "ADD", THIN, 0.0, 0.6)
     assert len(nodes) == 2
 

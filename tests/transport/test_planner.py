@@ -158,6 +158,8 @@ def test_larger_domains_are_foretold_from_small_ones():
     assert merged == 8 / 4 + small
     forward = planner._expected_seconds(Settings(merge=2), pilot, cube(4, g=0.5), 64)
     assert forward == 8 / 4 / 2 + small
+    alone = replace(pilot, steps=(40, 0))  # too dark to be merged
+    assert planner._expected_seconds(Settings(), alone, medium, 64) == 8 / 4 + 16 + fixed
 
 
 def test_photons_are_not_sent_by_soft_lamps_inside():
