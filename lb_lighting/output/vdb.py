@@ -25,9 +25,10 @@ MARGIN = 2
 _SPHERE = np.float32(4 * np.pi)  # sr
 
 
-def volume_light(field, lights, mode):
+def volume_light(field, lights, mode, g=0.0):
     """What a baked volume shows of the light in the `Field` of `lights`: (light, others, beams).
 
+    g       mean cosine of the medium's phase function, scalar or (bands,)
     light   (bands, nx, ny, nz) W/(m^2 sr), mean radiance of what comes from many directions
     others  {name of a grid: (bands, nx, ny, nz)}: lb_flux_x ... are the components of the net flux
             of that light over its fluence, from 0 to 1; lb_direct_1 ... the mean radiance of the
@@ -52,13 +53,16 @@ def volume_light(field, lights, mode):
     if field.forward is not None and field.forward[of_beam].any():
         # Left in the flux, it would hide light that comes back the other way.
         grids.append((forward_grid, np.minimum(field.forward[of_beam], field.fluence)))
+    # Light that was scattered ahead once has the mean cosine g, and counts as 1 in the lattice.
+    straight = (1 + np.reshape(g, (-1, 1, 1, 1))) / 2
     others = {}
     for name, own in grids:
         for number, (beam, light) in enumerate(zip(beams, own, strict=True), 1):
             if name is forward_grid:
                 fluence = fluence - light
             if name is forward_grid or field.direct_flux is not None:
-                flux = flux - _toward(beam, field.domain) * light[:, None]
+                ahead = straight * light if name is forward_grid else light
+                flux = flux - _toward(beam, field.domain) * ahead[:, None]
             # About a lamp light falls off too fast to be read between voxels; the rest is even.
             steep = 1 if isinstance(beam, Sun) else _falloff(beam, field.domain)
             others[name(number)] = light / (_SPHERE * steep)

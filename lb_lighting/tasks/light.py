@@ -221,7 +221,9 @@ class Light:
 
     def _write(self, problem, field, occlusion, planned):
         """Write the .vdb; the beams that it has grids of."""
-        light, others, beams = volume_light(field, problem.lights, self.options.mode)
+        light, others, beams = volume_light(
+            field, problem.lights, self.options.mode, problem.medium.g
+        )
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
         stamp = self._stamp(problem.medium, field.report)

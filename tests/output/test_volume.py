@@ -154,13 +154,15 @@ class TestVolumeLight:
         field.direct_flux[:, 2] = -2.1  # the sun's; that of the others is left out
         field.forward = np.zeros_like(field.by_light)
         field.forward[0] = 0.25
-        light, others, beams = volume_light(field, [self.LIGHTS[0], Sky(1.0), Sky(1.0)], mode)
+        lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
+        light, others, beams = volume_light(field, lights, mode, g=(0.6, 1.0))
         assert beams == [self.LIGHTS[0]]
         assert others["lb_forward_1"] == self.radiance(0.25)
         rest = 0.75 + (7.2 if mode == "REPLACE" else 0)
         assert light == self.radiance(rest)
-        expected = np.full(self.SHAPE, (-0.5 + 0.25) / rest)
-        assert others["lb_flux_z"] == pytest.approx(expected, abs=1e-6)
+        for band, straight in enumerate((0.8, 1.0)):
+            expected = np.full(self.SHAPE[1:], (-0.5 + 0.25 * straight) / rest)
+            assert others["lb_flux_z"][band] == pytest.approx(expected, abs=1e-6)
 
     def test_light_of_small_angles_is_no_more_than_there_is(self):
         field = self.field()
