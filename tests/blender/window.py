@@ -98,6 +98,7 @@ def build(resolution=48, voxel=0.05):
         bpy.context.view_layer.objects.active = cloud
     settings = bpy.context.scene.lb_lighting
     settings.resolution, settings.folder, settings.device = resolution, str(folder), ""
+    settings.quality = "CUSTOM"  # all voxels: there is to be time to interrupt it
     running.last = ()
     return cloud, folder
 
