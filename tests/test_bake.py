@@ -45,6 +45,10 @@ def light_by_height(outcome):
     return outcome.field.fluence[0].mean(axis=(0, 1))[2:-2]
 
 
+# The grids of two beams, where the medium scatters forwards.
+BEAMS = {"lb_direct_1", "lb_direct_2", "lb_forward_1", "lb_forward_2"}
+
+
 class TestVolume:
     def test_material_is_read_and_light_falls_off_away_from_the_sun(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
@@ -139,7 +143,7 @@ class TestVolume:
         assert sun.max() == pytest.approx(3, rel=1e-3)
         assert point.max() == pytest.approx(10 * 5**2, rel=0.02)  # W/sr times 4 pi: none is lost
         nodes = baked().active_material.node_tree.nodes
-        assert {node.label for node in nodes if node.label} == {"lb_direct_1", "lb_direct_2"}
+        assert {node.label for node in nodes if node.label} == BEAMS
 
     def test_of_the_paper_all_light_is_one(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path), model="paper")
@@ -157,7 +161,7 @@ class TestVolume:
         assert spot.any()
         assert area.any()
         nodes = baked().active_material.node_tree.nodes
-        assert {node.label for node in nodes if node.label} == {"lb_direct_1", "lb_direct_2"}
+        assert {node.label for node in nodes if node.label} == BEAMS
         assert not outcome.notes or "not read" not in " ".join(outcome.notes)
 
     def test_own_light_needs_no_lamp(self, scene, tmp_path):
