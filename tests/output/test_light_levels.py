@@ -26,7 +26,7 @@ LIMIT = 0.05  # by which a picture's mean may differ
 # 3 % too dark, and 8 % where slats make it a beam.
 LIMIT_OF_AREAS = 0.1
 # A few lobes stand for light that scatters forwards a few times: measured 15 % too dark from the
-# sun's side in this small cloud; as one lobe with all the rest it was darker still.
+# sun's side in this small cloud.
 LIMIT_OF_LOBES = 0.18
 
 
