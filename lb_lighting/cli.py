@@ -31,7 +31,7 @@ _HELP = {
     "optical_depth": "of the longest edge at density 1, for presets; 0: CUSTOM as it is",
     "grid": "grid to read from volumes and smoke",
     "model": "physical or paper",
-    "quality": "preview, draft, final or reference: 20, 10, 5 or 2 % of error; or CUSTOM",
+    "quality": "preview, draft, final or reference: 20, 10, 5 or 2 %% of error; or CUSTOM",
     "scattering": "multiple or single, for CUSTOM",
     "merge": "times that voxels are larger in which scattered light is found, for CUSTOM",
     "photons": "how many are traced, 0 for 64 a voxel, for CUSTOM",

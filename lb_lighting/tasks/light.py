@@ -119,7 +119,9 @@ class Light:
     def plan(self, problem, quality, fixed=None):
         """The `Plan` for a `Problem`; fixed is what is not to be chosen."""
         device = self.options.device or None
-        return plan(problem.medium, problem.lights, quality, device, fixed)
+        # Lamps' own light on surfaces is Cycles'.
+        scattered = bool(self.surfaces or self.readers)
+        return plan(problem.medium, problem.lights, quality, device, fixed, scattered=scattered)
 
     def keep(self, problem, field, planned=None):
         """Write the file of the `Field` that a `Problem` has: a `Lit`."""

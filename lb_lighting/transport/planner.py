@@ -99,23 +99,28 @@ class Pilot:
     collisions: float = 0.0
 
 
-def plan(medium, lights, quality="final", device=None, fixed=None, cancel=None):
+def plan(medium, lights, quality="final", device=None, fixed=None, cancel=None, *, scattered=False):
     """The `Plan` for lighting a medium.
 
     medium, lights, device, cancel  as for `solve`
     quality  "preview", "draft", "final" or "reference": errors of 20, 10, 5 and 2 %
     fixed    {name: value} of `Settings` that are not to be chosen
+    scattered  whether scattered light is all that is to be shown, as on surfaces: errors are
+             relative to it then, and it is never left out
     Where no way is expected to meet the target, it is the most exact one that fits into memory.
     Raises what `solve` raises.
     """
     require_known(quality, tuple(TARGETS), "quality")
     start, target, fixed = perf_counter(), TARGETS[quality], dict(fixed or {})
+    if scattered:
+        fixed.setdefault("scattering", "multiple")
     lights, most = list(lights), _most_scattered(medium)
     thin = most <= _SAFE * target and _may_be_single(fixed)
     if thin:
         fixed["scattering"] = "single"
     base = replace(Settings(tolerance=_STOP * target), **fixed)
-    pilot = _fly(medium, lights, base, target, device, cancel, most if thin else None)
+    told = most if thin else None
+    pilot = _fly(medium, lights, base, target, device, cancel, told, scattered)
     edge, choices = max(medium.shape), []
     # Photons do not know of a lamp's radius, which counts where it stands in the medium.
     soft = any(getattr(light, "radius", 0) and is_within(light, medium.domain) for light in lights)
@@ -165,7 +170,7 @@ def _most_scattered(medium):
     return float(max(depth.sum(axis=axis).max() for axis in range(3)))
 
 
-def _fly(medium, lights, base, target, device, cancel, thin):
+def _fly(medium, lights, base, target, device, cancel, thin, scattered=False):
     """The `Pilot` of a medium; thin is the share of scattered light where that needs no lattice to
     be known, or None."""
     pieces = ceil(max(medium.shape) / _PILOT)
@@ -192,7 +197,7 @@ def _fly(medium, lights, base, target, device, cancel, thin):
         far = whole is not None and _collisions(small, whole) > _FAR
         handover = 4.0 if far else inf
         traced = [solved(handover=handover, seed=n, photons=p) for n, p in enumerate(_PHOTONS)]
-    return _seen(small, half, whole, seconds, traced, handover)
+    return _seen(small, half, whole, seconds, traced, handover, scattered)
 
 
 def _as_a_point(light):
@@ -206,16 +211,17 @@ def _unless_too_dark(solved, **changes):
         return None
 
 
-def _seen(medium, half, whole, seconds, traced, handover):
+def _seen(medium, half, whole, seconds, traced, handover, scattered):
     """The `Pilot` from fields: in merged voxels, in all, and of photons, twice or not at all.
 
     seconds   that the second took
     handover  that of the photons
     """
     best = traced[-1] if whole is None else whole
-    light = _all(best)
-    size = float(np.linalg.norm(light)) or 1.0
-    noise, error = 0.0, _USUAL
+    light, share = _all(best), float(np.linalg.norm(best.fluence))
+    everything = float(np.linalg.norm(light)) or 1.0
+    size = (share if scattered else everything) or 1.0
+    noise, error = 0.0, _USUAL * everything / size
     if traced:
         few, many = map(_all, traced)
         # Of one photon, were it alone.
@@ -225,7 +231,7 @@ def _seen(medium, half, whole, seconds, traced, handover):
     solving = best.report.seconds.get("solve", 0.0)
     return Pilot(
         edge=max(medium.shape),
-        share=float(np.linalg.norm(best.fluence)) / size,
+        share=share / everything,
         error=inf if whole is None else error,
         merging=inf if None in (half, whole) else float(np.linalg.norm(light - _all(half))) / size,
         rays=best.report.seconds["direct"] if whole is None else seconds - solving,
@@ -358,7 +364,7 @@ def _of_photons(settings, pilot, target):
     if settings.handover == inf:
         return f"Photons alone, {settings.photons:,}: the lattice would be less exact, or slower."
     if target > _CLOSE:
-        return f"No photons: the lattice is at most {_USUAL:.1%} off."
+        return f"No photons: the lattice is some {pilot.error:.1%} off at most."
     alone = f"the lattice alone is {pilot.error:.1%} off"
     if not settings.handover:
         return f"No photons: {alone}."

@@ -55,6 +55,17 @@ def test_dark_media_start_no_lattice():
     assert chosen.settings.scattering == "single"
 
 
+def test_scattered_light_is_never_left_out_where_it_is_all_that_is_shown():
+    medium = cube(depth=1.0, albedo=0.1)
+    assert plan(medium, [SUN], "draft").settings.scattering == "single"
+    chosen = plan(medium, [SUN], "draft", scattered=True)
+    assert chosen.settings.scattering == "multiple"
+    field = solve_medium(medium, [SUN], chosen.settings)
+    truth = solve_medium(medium, [SUN], Settings(handover=inf, photons=2_000_000))
+    difference = np.linalg.norm(field.fluence - truth.fluence) / np.linalg.norm(truth.fluence)
+    assert difference == pytest.approx(chosen.error, rel=0.5)
+
+
 def test_dense_media_start_one_and_say_so():
     chosen = plan(cube(), [SUN], "draft")
     assert chosen.settings.scattering == "multiple"
