@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, replace
 
+from ..transport.medium import deepest
 from ..transport.planner import Plan
 from .light import Light
 
@@ -71,7 +72,7 @@ class Estimate:
             medium.voxel_size,
             *found,
             float(depth.max()),
-            float(max(depth.sum(axis=axis).max() for axis in range(3))),
+            deepest(depth),
             self.light.reader.notes,
         )
 

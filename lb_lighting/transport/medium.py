@@ -329,6 +329,11 @@ def repeated(grid, times):
     return grid
 
 
+def deepest(depth):
+    """The largest sum of a grid (nx, ny, nz) along a line through it, along any axis."""
+    return float(max(depth.sum(axis=axis).max() for axis in range(3)))
+
+
 def merged(grid, pieces):
     """A grid (..., nx, ny, nz) of the means of cubes of `pieces` voxels, with zeros behind its end
     where these do not fit; None as it is."""

@@ -17,6 +17,7 @@ from . import device as devices
 from .coarse import coarse
 from .crop import Box
 from .lights import FEW_VOXELS
+from .medium import deepest
 from .physical import is_within
 from .solver import Settings, require_memory, solve
 
@@ -167,7 +168,7 @@ def _most_scattered(medium):
     depth = medium.depth(medium.sigma_s.max())
     if medium.occlusion is not None:
         depth = depth + medium.occlusion
-    return float(max(depth.sum(axis=axis).max() for axis in range(3)))
+    return deepest(depth)
 
 
 def _fly(medium, lights, base, target, device, cancel, thin, scattered=False):
