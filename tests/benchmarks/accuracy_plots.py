@@ -5,18 +5,17 @@ python -m tests.benchmarks.accuracy_plots
 """
 
 import json
-from pathlib import Path
 
 import matplotlib
 
 from tests.benchmarks.accuracy import REACH
+from tests.benchmarks.figures import write_small
 from tests.benchmarks.table import BUILD
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.ticker import NullLocator
 
-DOCS = Path(__file__).parents[2] / "docs" / "physics"
 COLORS = {
     "paper": "#9a9a9a",
     "deterministic": "#c44536",
@@ -67,7 +66,7 @@ def cases():
     panel.grid(axis="y", lw=0.4, color="#dddddd")
     panel.set_axisbelow(True)
     panel.legend(fontsize=7, frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0, 1))
-    save(figure, "accuracy")
+    write_small(figure, "physics", "accuracy")
 
 
 def refinement():
@@ -86,17 +85,7 @@ def refinement():
     panel.set_xlabel("voxels along an edge", fontsize=8)
     panel.set_ylabel("relative L2 error", fontsize=8)
     panel.legend(fontsize=7, frameon=False)
-    save(figure, "refinement")
-
-
-def save(figure, name):
-    for panel in figure.axes:
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.tick_params(labelsize=7)
-    figure.tight_layout()
-    DOCS.mkdir(parents=True, exist_ok=True)
-    figure.savefig(DOCS / f"{name}.webp", dpi=110, pil_kwargs={"quality": 80})
-    print(f"written to docs/physics/{name}.webp")
+    write_small(figure, "physics", "refinement")
 
 
 if __name__ == "__main__":

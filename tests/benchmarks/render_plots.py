@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 
 from tests.benchmarks import pictures
+from tests.benchmarks.figures import write
 from tests.benchmarks.table import BUILD
 
 matplotlib.use("Agg")
@@ -86,10 +87,8 @@ def draw(panel, rows):
 
 
 def save(figure, name):
-    DOCS.mkdir(parents=True, exist_ok=True)
-    figure.savefig(DOCS / f"{name}.webp", dpi=110, pil_kwargs={"quality": 80})
+    write(figure, DOCS.name, name)
     plt.close(figure)
-    print(f"written to docs/renders/{name}.webp")
 
 
 # --- Pictures ------------------------------------------------------------------------------------

@@ -5,17 +5,16 @@ python -m tests.benchmarks.trade_plots
 """
 
 import json
-from pathlib import Path
 
 import matplotlib
 
+from tests.benchmarks.figures import write_small
 from tests.benchmarks.table import BUILD
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.ticker import NullLocator
 
-DOCS = Path(__file__).parents[2] / "docs" / "speed-and-accuracy"
 KINDS = {
     "lattice, 8 to 128 voxels": ("resolution", "#c44536"),
     "other tolerances": ("tolerance", "#e8a598"),
@@ -79,7 +78,7 @@ def fronts():
     handles, labels = panels.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, frameon=False, ncols=4, loc="lower center")
     figure.text(0.5, 0.05, "work: processor time, over that of the default settings", ha="center")
-    save(figure, "fronts", bottom=0.07)
+    write_small(figure, "speed-and-accuracy", "fronts", bottom=0.07)
 
 
 def kept():
@@ -110,7 +109,7 @@ def kept():
     for factor in (0.5, 2):
         seconds.plot((0.03, 100), (0.03 * factor, 100 * factor), lw=0.6, ls="--", color="#444444")
     errors.legend(fontsize=7, frameon=False)
-    save(figure, "planner")
+    write_small(figure, "speed-and-accuracy", "planner")
 
 
 def table():
@@ -123,16 +122,6 @@ def table():
             for row in front([row for row in rows if row["case"] == name])
         )
         print(f"| {name} | {'; '.join(steps)} |")
-
-
-def save(figure, name, bottom=0.0):
-    for panel in figure.axes:
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.tick_params(labelsize=7)
-    figure.tight_layout(rect=(0, bottom, 1, 1))
-    DOCS.mkdir(parents=True, exist_ok=True)
-    figure.savefig(DOCS / f"{name}.webp", dpi=110, pil_kwargs={"quality": 80})
-    print(f"written to docs/speed-and-accuracy/{name}.webp")
 
 
 if __name__ == "__main__":
