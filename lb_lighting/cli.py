@@ -33,6 +33,7 @@ _HELP = {
     "model": "physical or paper",
     "quality": "preview, draft, final or reference: 20, 10, 5 or 2 %% of error; or CUSTOM",
     "scattering": "multiple or single, for CUSTOM",
+    "rays": "of unscattered light along a voxel's edge, over the usual number, for CUSTOM",
     "merge": "times that voxels are larger in which scattered light is found, for CUSTOM",
     "photons": "how many are traced, 0 for 64 a voxel, for CUSTOM",
     "tolerance": "relative error that the lattice's steps leave, for CUSTOM",

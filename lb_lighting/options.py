@@ -32,8 +32,9 @@ class Options:
     optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
     grid: str = ""  # grid to read from volumes, or "" for the material's
     model: str = "physical"  # or "paper"
-    quality: str = "draft"  # an error target, see transport/planner.py; or "CUSTOM": the next five
+    quality: str = "draft"  # an error target, see transport/planner.py; or "CUSTOM": the next six
     scattering: str = "multiple"  # or "single"
+    rays: float = 1.0  # of unscattered light along a voxel's edge, over the usual number
     merge: int = 1  # voxels along each edge that scattered light is found in as one
     handover: float = 0.0  # transport optical depths that photons are traced for
     photons: int = 0  # to trace, or 0 for as many as the voxels take
@@ -77,7 +78,7 @@ class Options:
     @property
     def by_hand(self):
         """{name: value} of the `Settings` that a plan chooses, as they are for CUSTOM."""
-        names = ("scattering", "merge", "handover", "tolerance")
+        names = ("scattering", "rays", "merge", "handover", "tolerance")
         return {name: getattr(self, name) for name in names} | {"photons": self.photons or None}
 
     @property

@@ -178,9 +178,9 @@ class Sky:
         """
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
-            across, height = _strata(count, 2, np.random.default_rng(0))
+            across, turn = _strata(count, 2, np.random.default_rng(0))
             # Each sun lights all voxels: what counts is their fluence, not what enters.
-            towards, irradiance, fluence = self._bright(across, height, medium, band)
+            towards, irradiance, fluence = self._bright(across, turn, medium, band)
             sent = irradiance.mean()
             irradiance *= fluence / sent if sent else 0  # so few suns need not add up to the sky
         else:
@@ -204,22 +204,23 @@ class Sky:
 
     def _emit_by_brightness(self, count, medium, rng, band):
         """Directions by the power that comes from their cell of the sky, then points of entry."""
-        cell, height, across, along = _strata(count, 4, rng)
-        towards, irradiance, _ = self._bright(cell, height, medium, band, face_areas(medium.domain))
+        row, turn, across, along = _strata(count, 4, rng)
+        towards, irradiance, _ = self._bright(row, turn, medium, band, face_areas(medium.domain))
         origins = _enter(medium.domain, -towards, across, along)
         shown = np.abs(towards) @ face_areas(medium.domain)
         return origins, -towards, irradiance * shown / count
 
-    def _bright(self, across, height, medium, band, areas=None):
+    def _bright(self, across, turn, medium, band, areas=None):
         """Directions (n, 3) towards a sky that is a function, by the light that comes from their
         cell of it; the (n,) W/m^2 for which each would stand alone; and the light of all cells.
 
-        across and height are the (n,) in [0, 1) that choose them. The light is a power, W, through
-        faces of the areas (3,) m^2, or without them a fluence, W/m^2.
+        across and turn are the (n,) in [0, 1) that choose them: the row, and the cell in the row,
+        so that what is spread evenly over both is spread evenly over the sky. The light is a
+        power, W, through faces of the areas (3,) m^2, or without them a fluence, W/m^2.
         """
-        cells = _cell_centers()
-        radiance = _over_directions(self.radiance, cells)
-        glow = _of_band(radiance(cells), medium.bands, band)
+        cells, points = _cell_centers(), _cell_quarters()
+        radiance = _over_directions(self.radiance, points)
+        glow = _of_band(radiance(points), medium.bands, band).reshape(len(cells), -1).mean(axis=1)
         if areas is not None:
             glow = glow * (np.abs(cells) @ areas)
         even = 1 / len(cells)
@@ -227,7 +228,10 @@ class Sky:
         if glow.any():
             chance = _ANYWHERE * even + (1 - _ANYWHERE) * glow / glow.sum()
 
-        cell, around = _pick(_edges(chance), across)
+        edges, columns = _edges(chance), SKY_CELLS[1]
+        row, height = _pick(edges[::columns], across)
+        begin, end = edges[row * columns], edges[(row + 1) * columns]
+        cell, around = _pick(edges, (begin + turn * (end - begin)) / edges[-1])
         towards = _in_cells(cell, height, around)
         solid_angle = 4 * np.pi * even / chance[cell]
         irradiance = _of_band(radiance(towards), medium.bands, band) * solid_angle
@@ -784,6 +788,15 @@ def cells_of(towards):
 @cache
 def _cell_centers():
     return _in_cells(np.arange(SKY_CELLS[0] * SKY_CELLS[1]), 0.5, 0.5)
+
+
+@cache
+def _cell_quarters():
+    """(4 n, 3): the centres of the quarters of the n cells, cell by cell. What shines in a part
+    of a cell hardly ever is missed by all four."""
+    cell = np.arange(SKY_CELLS[0] * SKY_CELLS[1])[:, None]
+    height, around = np.array([(x, y) for x in (0.25, 0.75) for y in (0.25, 0.75)]).T
+    return _in_cells(*(v.ravel() for v in np.broadcast_arrays(cell, height, around)))
 
 
 def _over_directions(radiance, probe):

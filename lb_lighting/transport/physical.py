@@ -351,6 +351,7 @@ class _Work:
         rays = _RAYS if max(medium.shape) <= FEW_VOXELS else _RAYS_AMONG_MANY
         if isinstance(light, (Sky, Emission)):
             rays = _RAYS_OF_SKY
+        rays = max(1, round(rays * self.settings.rays))
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel, box)
 
     def _unscattered(self, medium, box, lights, band, lit):

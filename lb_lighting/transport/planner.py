@@ -1,38 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From an error target to settings: the least work that should meet it.
 
-Nothing is guessed that a moment's trial tells. The medium is solved as a pilot, in few voxels, in
-several ways; photons say how wrong the lattice is there; and what is seen is scaled to the voxels
-that are asked for. docs/speed-and-accuracy.md has what the scaling was measured on.
+Nothing is guessed that a moment's trial tells: what the `Pilot` tells of the medium in few voxels
+is scaled to the voxels that are asked for. docs/speed-and-accuracy.md has what the scaling was
+measured on.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 from math import ceil, hypot, inf, prod, sqrt
 from time import perf_counter
 
 import numpy as np
 
-from ..errors import DeviceError, MediumError, require_known
+from ..errors import DeviceError, require_known
 from . import device as devices
-from .coarse import coarse
 from .crop import Box
 from .lights import FEW_VOXELS
 from .medium import deepest
 from .physical import is_within
-from .solver import Settings, require_memory, solve
+from .pilot import EVENER, fly
+from .solver import Settings, require_memory
 
 # The relative error (L2) of all light that each quality is to keep to.
 TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}
-_PILOT = 32  # voxels along the longest edge of the pilot
-_PHOTONS = (20_000, 60_000)  # of the pilot, twice: the more tell what each takes
-_CLOSE = 0.10  # targets up to this are compared with photons; the others with what is usual:
-_USUAL = 0.065  # error of the lattice without photons, the most of docs/physics.md
-_FAR = 300  # collisions of a photon from which on the pilot's are handed over
 _SAFE = 0.85  # of the target, that what is expected must keep to
 _STOP = 0.2  # of the target, that the lattice may leave
 _NOISE = (0.3, 0.5)  # of the target, that photons may leave: the least, and the most
 _MERGES = (1, 2, 4, 8)
 _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
+_RAYS = (0.5, 1.0, 2.0, 4.0)
 # What is left of the lattice's error where photons go before it.
 _LEFT = (0, 1, 2, 4), (1, 0.75, 0.6, 0.45)  # by handover
 _FIXED = 0.04  # s that a solve takes of however little
@@ -70,36 +67,6 @@ class Plan:
         return self.error <= self.target
 
 
-@dataclass(frozen=True)
-class Pilot:
-    """What a solve in few voxels told.
-
-    edge        voxels along the longest edge
-    share       of scattered light in all light, in L2
-    error       of the lattice alone, relative (L2)
-    merging     what merging by 2 changes, relative (L2); infinite where it cannot be
-    rays        s, of rays and all but the lattice
-    solve       s, of the lattice, at `steps`
-    steps       at `edge`, and at half of it
-    trace       s a photon that is traced to a handover of `traced`
-    traced      that handover, in transport optical depths
-    noise       relative (L2), of one photon: of n it is the root of n less
-    collisions  of a photon, mean, till it is absorbed or leaves
-    """
-
-    edge: int
-    share: float
-    rays: float
-    error: float = inf
-    merging: float = inf
-    solve: float = 0.0
-    steps: tuple = (0, 0)
-    trace: float = 0.0
-    traced: float = inf
-    noise: float = 0.0
-    collisions: float = 0.0
-
-
 def plan(medium, lights, quality="final", device=None, fixed=None, cancel=None, *, scattered=False):
     """The `Plan` for lighting a medium.
 
@@ -121,7 +88,7 @@ def plan(medium, lights, quality="final", device=None, fixed=None, cancel=None, 
         fixed["scattering"] = "single"
     base = replace(Settings(tolerance=_STOP * target), **fixed)
     told = most if thin else None
-    pilot = _fly(medium, lights, base, target, device, cancel, told, scattered)
+    pilot = fly(medium, lights, base, target, device, cancel, thin=told, scattered=scattered)
     edge, choices = max(medium.shape), []
     # Photons do not know of a lamp's radius, which counts where it stands in the medium.
     soft = any(getattr(light, "radius", 0) and is_within(light, medium.domain) for light in lights)
@@ -159,9 +126,6 @@ def _first_that_fits(choices, medium, lights, device):
     raise AssertionError("there is always a choice")
 
 
-# --- The pilot -----------------------------------------------------------------------------------
-
-
 def _most_scattered(medium):
     """What scattered light is at most, over unscattered: what scatters on the deepest line along
     an axis. Straight lines see less on average, and what scatters again is less still."""
@@ -171,112 +135,22 @@ def _most_scattered(medium):
     return deepest(depth)
 
 
-def _fly(medium, lights, base, target, device, cancel, thin, scattered=False):
-    """The `Pilot` of a medium; thin is the share of scattered light where that needs no lattice to
-    be known, or None."""
-    pieces = ceil(max(medium.shape) / _PILOT)
-    small = medium if pieces == 1 else medium.merged(pieces)
-    lights = [_as_a_point(coarse(light, pieces)) for light in lights]
-
-    def solved(**changes):
-        settings = replace(base, scattering="multiple", merge=1, handover=0.0, photons=None)
-        return solve(small, lights, replace(settings, **changes), device, cancel=cancel)
-
-    if thin is not None:
-        solved(scattering="single")  # makes programs ready
-        start = perf_counter()
-        solved(scattering="single")
-        once = perf_counter() - start
-        return Pilot(max(small.shape), thin, 2 * once if medium.g.max() > 0 else once)
-    half = _unless_too_dark(solved, merge=2)  # first, as a first solve makes programs ready
-    start = perf_counter()
-    whole = _unless_too_dark(solved)
-    seconds = perf_counter() - start
-    traced, handover = [], inf
-    if whole is None or target <= _CLOSE:
-        # To their end, where that is not far: a lattice that takes over has an error, too.
-        far = whole is not None and _collisions(small, whole) > _FAR
-        handover = 4.0 if far else inf
-        traced = [solved(handover=handover, seed=n, photons=p) for n, p in enumerate(_PHOTONS)]
-    return _seen(small, half, whole, seconds, traced, handover, scattered)
-
-
-def _as_a_point(light):
-    return replace(light, radius=0.0) if getattr(light, "radius", 0) else light
-
-
-def _unless_too_dark(solved, **changes):
-    try:
-        return solved(**changes)
-    except MediumError:
-        return None
-
-
-def _seen(medium, half, whole, seconds, traced, handover, scattered):
-    """The `Pilot` from fields: in merged voxels, in all, and of photons, twice or not at all.
-
-    seconds   that the second took
-    handover  that of the photons
-    """
-    best = traced[-1] if whole is None else whole
-    light, share = _all(best), float(np.linalg.norm(best.fluence))
-    everything = float(np.linalg.norm(light)) or 1.0
-    size = (share if scattered else everything) or 1.0
-    noise, error = 0.0, _USUAL * everything / size
-    if traced:
-        few, many = map(_all, traced)
-        # Of one photon, were it alone.
-        noise = float(np.linalg.norm(few - many)) / size / sqrt(sum(1 / p for p in _PHOTONS))
-        # The noise of the two is independent: it drops out of the product.
-        error = sqrt(max(float(np.vdot(light - few, light - many)), 0.0)) / size
-    solving = best.report.seconds.get("solve", 0.0)
-    return Pilot(
-        edge=max(medium.shape),
-        share=share / everything,
-        error=inf if whole is None else error,
-        merging=inf if None in (half, whole) else float(np.linalg.norm(light - _all(half))) / size,
-        rays=best.report.seconds["direct"] if whole is None else seconds - solving,
-        solve=solving,
-        steps=tuple(field.report.steps if field else 0 for field in (whole, half)),
-        traced=handover,
-        trace=_of_each([field.report.seconds["trace"] for field in traced]),
-        noise=noise,
-        collisions=_collisions(medium, best),
-    )
-
-
-def _of_each(seconds):
-    """s a photon, from two numbers of them: there is much else that a trace takes time for."""
-    if not seconds:
-        return 0.0
-    (few, many), (short, long) = _PHOTONS, seconds
-    return max((long - short) / (many - few), long / many / 4)
-
-
-def _all(field):
-    return (field.fluence + field.direct).astype(float)
-
-
-def _collisions(medium, field):
-    """Mean number of a photon's collisions: what collides over what enters."""
-    colliding = medium.sigma_t[:, None, None, None] * medium.density * _all(field)
-    entered = float(np.sum(field.report.energy["entered"])) or 1.0
-    return float(colliding.sum()) * medium.voxel_size**3 / entered
-
-
 # --- What a way of solving should come to --------------------------------------------------------
 
 
 def _candidates(base, fixed, edge, handovers):
     """`Settings` to choose from: all combinations that leave what is fixed as it is."""
-    if _may_be_single(fixed):
-        yield replace(base, scattering="single")
-    if fixed.get("scattering") == "single":
-        return
     merges = [m for m in _MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
-    for merge in [fixed["merge"]] if "merge" in fixed else merges:
-        for handover in [fixed["handover"]] if "handover" in fixed else handovers:
-            yield replace(base, merge=merge, handover=handover)
+    usual = {"rays": _RAYS, "merge": merges, "handover": handovers}
+    all_rays, merges, handovers = (
+        [fixed[name]] if name in fixed else values for name, values in usual.items()
+    )
+    for rays in all_rays:
+        if _may_be_single(fixed):
+            yield replace(base, scattering="single", rays=rays)
+        if fixed.get("scattering") != "single":
+            for merge, handover in product(merges, handovers):
+                yield replace(base, merge=merge, handover=handover, rays=rays)
 
 
 def _may_be_single(fixed):
@@ -287,14 +161,16 @@ def _may_be_single(fixed):
 
 def _expected_error(settings, pilot, medium, edge, target):
     """(`Settings` with as many photons as keep to the target, the error expected of them)."""
+    sampling = pilot.sampling * settings.rays**-EVENER
+    if edge > FEW_VOXELS >= pilot.edge:  # half of the rays are taken along an edge
+        sampling *= 2**EVENER
     if settings.scattering == "single":
-        return settings, pilot.share
+        return settings, hypot(pilot.share, sampling)
     large = edge / settings.merge
-    # What merging costs goes with the edge of voxels.
-    merging = pilot.edge * pilot.merging * (1 / large - 1 / edge) if settings.merge > 1 else 0.0
+    merging = _of_merged(settings, pilot, pilot.edge * (1 / large - 1 / edge))
     left = 0.0 if settings.handover == inf else float(np.interp(settings.handover, *_LEFT))
     lattice = left * pilot.error if left else 0.0
-    error = hypot(lattice, merging, settings.tolerance if left else 0.0)
+    error = hypot(lattice, merging, sampling, settings.tolerance if left else 0.0)
     if not settings.handover:
         return settings, error
     noise = pilot.noise * large / pilot.edge  # of one photon in all
@@ -306,20 +182,34 @@ def _expected_error(settings, pilot, medium, edge, target):
     return replace(settings, photons=photons), hypot(error, noise / sqrt(photons))
 
 
+def _of_merged(settings, pilot, growth):
+    """The error of merging; growth is by how many voxels of the pilot the edges grow."""
+    if not growth:
+        return 0.0
+    merging = pilot.merging * growth
+    if not settings.handover:
+        return merging
+    # Photons' light is uneven in what the lattice is wrong by, too; measured: .35 of that at a
+    # growth of 1, .7 at 3.
+    return hypot(merging, pilot.error * growth / (growth + 1.6))
+
+
 def _expected_seconds(settings, pilot, medium, edge):
-    rays = pilot.rays * _rays(edge) / _rays(pilot.edge)
-    # Where light goes forward a lattice takes rays twice.
-    once = rays / 2 if medium.g.max() > 0 else rays
+    of_rays = settings.rays**2 / _rays(pilot.edge)
+    once = pilot.once * of_rays * _rays(edge)
     if settings.scattering == "single":
         return once + _FIXED
     large = edge / settings.merge
-    seconds = _FIXED + pilot.rays * _rays(large) / _rays(pilot.edge)
-    if settings.merge > 1:
-        seconds += once
+    seconds = _FIXED + (once if settings.merge > 1 else 0.0)
     if settings.handover:
         photons = settings.photons or 0
         seconds += photons * pilot.trace * _path(settings.handover, pilot, medium)
-    if settings.handover != inf and pilot.steps[0]:
+    if settings.handover == inf:
+        # Where light goes forward rays are taken twice.
+        twice = 2 if medium.g.max() > 0 else 1
+        return float(seconds + twice * pilot.once * of_rays * _rays(large))
+    seconds += pilot.rays * of_rays * _rays(large)
+    if pilot.steps[0]:
         now, before = pilot.steps
         growth = min(max(np.log2(now / before), 0.0), 1.0) if before else 1.0
         seconds += pilot.solve * (large / pilot.edge) ** (3 + growth)
@@ -346,12 +236,14 @@ def _reasons(settings, pilot, medium, error, target):
     if settings.scattering == "single":
         return [
             f"No lattice: scattered light is {pilot.share:.1%} of all light or less, so scattering "
-            "it once, in the shader, is enough."
+            "it once, in the shader, is enough.",
+            _of_rays(settings, pilot),
         ]
     return [
         f"Scattered light is found: it is {pilot.share:.0%} of all light.",
-        _of_photons(settings, pilot, target),
+        _of_photons(settings, pilot),
         _of_merging(settings, pilot, medium),
+        _of_rays(settings, pilot),
         f"Steps end where {settings.tolerance:.1%} is left, {_STOP:.0%} of the target.",
         _of_space(medium),
         f"The error should be {error:.1%}; the target is {target:.0%}."
@@ -361,10 +253,10 @@ def _reasons(settings, pilot, medium, error, target):
     ]
 
 
-def _of_photons(settings, pilot, target):
+def _of_photons(settings, pilot):
     if settings.handover == inf:
         return f"Photons alone, {settings.photons:,}: the lattice would be less exact, or slower."
-    if target > _CLOSE:
+    if not pilot.noise:
         return f"No photons: the lattice is some {pilot.error:.1%} off at most."
     alone = f"the lattice alone is {pilot.error:.1%} off"
     if not settings.handover:
@@ -379,6 +271,13 @@ def _of_merging(settings, pilot, medium):
         return f"Scattered light in all voxels: in larger ones it is {pilot.merging:.1%} off."
     edge = ceil(max(medium.shape) / settings.merge)
     return f"Scattered light in voxels of {settings.merge} times the edge, {edge} along the domain."
+
+
+def _of_rays(settings, pilot):
+    number = "the usual number" if settings.rays == 1 else f"{settings.rays:g} times the number"
+    if not pilot.sampling:
+        return f"Unscattered light by {number} of rays, as it is not shown itself."
+    return f"Unscattered light by {number} of rays; the usual number is {pilot.sampling:.1%} off."
 
 
 def _of_space(medium):

@@ -12,6 +12,7 @@ MODELS = {"physical": physical, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
 PRECISIONS = ("fp32",)
 SCATTERINGS = ("multiple", "single")
+_MOST_RAYS = 16  # times the usual number along an edge: 256 times as many
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Settings:
     Of the physical model:
     scattering        "multiple", or "single": unscattered light alone, which is what a shader
                       needs to scatter it once; no lattice, and the fluence is 0
+    rays              of unscattered light along a voxel's edge, over the usual number; no fewer
+                      than one are sent
     merge             the voxels along each edge that scattered light is found in as one;
                       unscattered light keeps the medium's own. Media that shift light between
                       bands are not merged
@@ -50,6 +53,7 @@ class Settings:
 
     model: str = "physical"
     scattering: str = "multiple"
+    rays: float = 1.0
     merge: int = 1
     handover: float = 0.0
     traced_collisions: int = 1
@@ -73,6 +77,11 @@ class Settings:
             require_known(value, known, what)
         if not self.handover >= 0:
             raise SettingsError(f"The handover must not be negative; it is {self.handover}.")
+        if not 0 < self.rays <= _MOST_RAYS:
+            raise SettingsError(
+                f"The rays must be more than 0 times, and up to {_MOST_RAYS} times, the usual "
+                f"number; they are {self.rays}."
+            )
         if not 0 < self.tolerance < 1:
             raise SettingsError(f"The tolerance must lie between 0 and 1; it is {self.tolerance}.")
         require_whole(self.seed, "seed", 0, 2**32 - 1)

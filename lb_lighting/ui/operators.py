@@ -164,7 +164,7 @@ class LB_OT_customize(bpy.types.Operator):  # noqa: N801 - Blender's convention
         settings.quality = CUSTOM
         settings.photons = planned.photons or 0
         settings.handover = min(planned.handover, FAR)
-        for name in ("scattering", "merge", "tolerance"):
+        for name in ("scattering", "rays", "merge", "tolerance"):
             setattr(settings, name, getattr(planned, name))
         return {"FINISHED"}
 

@@ -109,7 +109,7 @@ class LB_PT_solver(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
         column.prop(settings, "device", placeholder="The best")
         column.prop(settings, "model")
         if settings.model == "physical" and settings.quality == CUSTOM:
-            for name in ("scattering", "merge", "handover", "photons", "tolerance"):
+            for name in ("scattering", "rays", "merge", "handover", "photons", "tolerance"):
                 column.prop(settings, name)
         absorbed = column.row()
         absorbed.active = settings.model == "paper"

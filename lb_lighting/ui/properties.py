@@ -158,6 +158,15 @@ class SceneProperties(bpy.types.PropertyGroup):
     scattering: EnumProperty(
         name="Scattering", description="What scattered light is found", items=SCATTERINGS
     )
+    rays: FloatProperty(
+        name="Rays",
+        description="Rays of unscattered light along a voxel's edge, over the usual number: skies "
+        "of twice as many take four times as long, and are more even",
+        default=1,
+        min=0.25,
+        max=16,
+        soft_max=4,
+    )
     merge: IntProperty(
         name="Merge Voxels",
         description="Find scattered light in voxels so many times as large; unscattered light "

@@ -55,6 +55,18 @@ LIGHTS = {
 every_light = pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
 
 
+@pytest.mark.parametrize("lowest", [-0.5, 0.0, 0.3])
+@pytest.mark.parametrize("per_edge", [4, 6, 7, 8, 11, 16])
+def test_few_suns_stand_for_a_part_of_the_sky(lowest, per_edge):
+    """Whatever their number; exact are 2 pi (1 - z) W/m^2 of fluence, and pi (1 - z^2) of flux."""
+    sky = Sky(lambda towards: 1.0 * (towards[..., 2] > lowest))
+    toward, irradiance, _ = sky.suns(MEDIUM, 0, per_edge)
+    assert irradiance.sum() == pytest.approx(2 * pi * (1 - lowest), rel=0.01)
+    off = toward.T @ irradiance + (0, 0, pi * (1 - lowest**2))
+    # Of as many at random it would be some .6 / per_edge.
+    assert np.linalg.norm(off) < 0.3 / per_edge * irradiance.sum()
+
+
 def emitted(light, count=10_000, seed=1, band=0, medium=MEDIUM):
     return light.emit(count, medium, np.random.default_rng(seed), band)
 

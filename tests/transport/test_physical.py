@@ -470,6 +470,8 @@ def test_a_suns_own_shadow_density_replaces_the_mediums():
         {"photons": 0},
         {"divide": 65},
         {"traced_collisions": 0},
+        {"rays": 0.0},
+        {"rays": 17.0},
         {"precision": "fp8"},
     ],
     ids=str,

@@ -10,7 +10,8 @@ import pytest
 from lb_lighting.errors import Cancelled, DeviceError, LightError, SettingsError
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, physical, plan, planner
 from lb_lighting.transport import solve as solve_medium
-from lb_lighting.transport.planner import TARGETS, Pilot
+from lb_lighting.transport.pilot import EVENER, Pilot, fly
+from lb_lighting.transport.planner import TARGETS
 
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
 
@@ -71,8 +72,32 @@ def test_dense_media_start_one_and_say_so():
     assert chosen.settings.scattering == "multiple"
     assert chosen.error <= chosen.target == TARGETS["draft"]
     assert chosen.settings.handover == 0
-    assert len(chosen.reasons) == 6
+    assert len(chosen.reasons) == 7
     assert "No photons" in chosen.reasons[1]
+
+
+def test_as_many_rays_as_the_target_takes():
+    """A sky of few directions is uneven, which no lattice mends."""
+    medium, lights = cube(n=24, depth=4.0), [Sky(lambda towards: 1.0 * (towards[..., 2] > 0.9))]
+    rays = [plan(medium, lights, quality).settings.rays for quality in TARGETS]
+    assert rays == sorted(rays)
+    assert rays[0] == 0.5
+    assert rays[-1] == 2
+
+
+def test_what_rays_are_off_is_foretold():
+    """To a factor of 2.5: the suns that stand for a sky are now better placed and now worse."""
+    medium, lights = cube(n=24, depth=4.0), [Sky(lambda towards: 1.0 * (towards[..., 2] > 0.9))]
+    pilot = fly(medium, lights, Settings(), 0.2)
+
+    def single(rays):
+        return solve_medium(medium, lights, Settings(scattering="single", rays=rays))
+
+    truth = single(6.0)
+    for rays in planner._RAYS:
+        found = error(single(rays), truth)
+        foretold = pilot.sampling * rays**-EVENER
+        assert 0.4 < foretold / found < 2.5
 
 
 def test_better_qualities_take_more_work():
@@ -86,7 +111,7 @@ def test_better_qualities_take_more_work():
 def test_errors_are_seen_as_they_are():
     """The lattice's own error, of a few photons, beside that of very many."""
     medium = cube(g=0.85)
-    pilot = planner._fly(medium, [SUN], Settings(), 0.05, None, None, None)
+    pilot = fly(medium, [SUN], Settings(), 0.05)
     lattice = solve_medium(medium, [SUN])
     truth = solve_medium(medium, [SUN], Settings(handover=inf, photons=4_000_000))
     # 4000 photons a voxel leave some .4 % of noise.
@@ -97,7 +122,7 @@ def test_errors_are_seen_as_they_are():
 def test_noise_is_foretold():
     """That of photons alone, which is more than where a lattice takes over."""
     medium = cube(n=20)
-    pilot = planner._fly(medium, [SUN], Settings(), 0.05, None, None, None)
+    pilot = fly(medium, [SUN], Settings(), 0.05)
     settings = Settings(handover=inf, photons=100_000)
     first, second = (solve_medium(medium, [SUN], replace(settings, seed=s)) for s in (7, 8))
     found = error(first, second) / np.sqrt(2)
@@ -113,9 +138,10 @@ def test_what_is_fixed_is_not_chosen():
 
 
 def test_all_may_be_fixed():
-    by_hand = {"scattering": "multiple", "merge": 1, "handover": 3.0, "photons": 1000}
-    chosen = plan(cube(), [SUN], "final", fixed=by_hand | {"tolerance": 0.1})
-    assert chosen.settings == Settings(handover=3.0, photons=1000, tolerance=0.1)
+    by_hand = {"scattering": "multiple", "rays": 3.0, "merge": 1, "handover": 3.0}
+    by_hand |= {"photons": 1000, "tolerance": 0.1}
+    chosen = plan(cube(), [SUN], "final", fixed=by_hand)
+    assert chosen.settings == Settings(**by_hand)
     single = plan(cube(), [SUN], fixed={"scattering": "single", "merge": 1, "handover": 0.0})
     assert single.settings.scattering == "single"
     assert single.error > 0.5
@@ -159,16 +185,18 @@ def test_a_box_of_matter_is_told_of():
 
 def test_larger_domains_are_foretold_from_small_ones():
     """Work grows with voxels, and steps at most with their number along an edge."""
-    pilot = Pilot(edge=32, share=0.9, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
+    pilot = Pilot(32, 0.9, 0.5, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
     medium = cube(4)
     small, large = (planner._expected_seconds(Settings(), pilot, medium, n) for n in (32, 64))
     fixed = planner._FIXED
     assert small == 2 + fixed
     assert large == 8 / 4 + 8 + fixed
     merged = planner._expected_seconds(Settings(merge=2), pilot, medium, 64)
-    assert merged == 8 / 4 + small
-    forward = planner._expected_seconds(Settings(merge=2), pilot, cube(4, g=0.5), 64)
-    assert forward == 8 / 4 / 2 + small
+    assert merged == 8 / 4 / 2 + small
+    alone = planner._expected_seconds(Settings(scattering="single"), pilot, medium, 64)
+    assert alone == 8 / 4 / 2 + fixed
+    twice = planner._expected_seconds(Settings(rays=2.0), pilot, medium, 64)
+    assert twice == 4 * 8 / 4 + 8 + fixed
     alone = replace(pilot, steps=(40, 0))  # too dark to be merged
     assert planner._expected_seconds(Settings(), alone, medium, 64) == 8 / 4 + 16 + fixed
 

@@ -47,6 +47,7 @@ class TestProperties:
             "model": "paper",
             "quality": "preview",
             "scattering": "single",
+            "rays": 0.5,
             "merge": 2,
             "photons": 1000,
             "tolerance": 0.125,
@@ -185,11 +186,12 @@ class TestQuality:
         assert running.plan.quality == "preview"
 
     def test_customize_takes_over_what_was_chosen(self, scene, monkeypatch):
-        chosen = Settings(merge=4, handover=math.inf, photons=1234, tolerance=0.25)
+        chosen = Settings(rays=2.0, merge=4, handover=math.inf, photons=1234, tolerance=0.25)
         monkeypatch.setattr(running, "plan", SimpleNamespace(settings=chosen))
         assert bpy.ops.lb_lighting.customize() == {"FINISHED"}
         options = Options.of(scene)
         assert (options.quality, options.merge, options.photons) == ("CUSTOM", 4, 1234)
+        assert options.rays == 2
         assert (options.scattering, options.handover) == ("multiple", 1000)
         assert options.tolerance == 0.25
 
