@@ -112,34 +112,43 @@ def _with_scattered(pilot, medium, single, solved, target, scattered):
             for seed, count in enumerate(counts)
         )
     best = many if whole is None else whole
-    shares = _size(best.fluence), _size(best.fluence + single.direct)
-    size = (shares[0] if scattered else shares[1]) or 1.0
+    scattered_light, light = _size(best.fluence), _size(best.fluence + single.direct)
+    size = (scattered_light if scattered else light) or 1.0
     pilot = replace(
         pilot,
-        share=shares[0] / (shares[1] or 1.0),
+        share=scattered_light / (light or 1.0),
+        # What few rays do to scattered light is in the error of the lattice.
+        sampling=0.0 if scattered else pilot.sampling,
         collisions=_collisions(medium, single, best),
     )
     if whole is not None:
-        solving, casting = (whole.report.seconds.get(name, 0.0) for name in ("solve", "direct"))
-        pilot = replace(
-            pilot,
-            error=_USUAL * shares[1] / size,
-            rays=seconds - solving - casting + casting / _ROUGH**2,
-            solve=solving,
-            steps=tuple(field.report.steps if field else 0 for field in (whole, half)),
-        )
-        if half is not None:
-            pilot = replace(pilot, merging=_size(whole.fluence - half.fluence) / size)
-    if scattered:  # what few rays do to it is in the error of the lattice
-        pilot = replace(pilot, sampling=0.0)
+        pilot = _with_lattice(pilot, half, whole, seconds, size)
+        pilot = replace(pilot, error=_USUAL * light / size)
     return pilot if few is None else _with_photons(pilot, whole, few, many, counts, size)
+
+
+def _with_lattice(pilot, half, whole, seconds, size):
+    """The `Pilot` with what the lattice takes, and what merging its voxels costs.
+
+    half, whole  its `Field`s, the first in merged voxels, or None
+    seconds      that the whole one took
+    size         L2 of the light that errors are relative to
+    """
+    solving, casting = (whole.report.seconds.get(name, 0.0) for name in ("solve", "direct"))
+    return replace(
+        pilot,
+        merging=inf if half is None else _size(whole.fluence - half.fluence) / size,
+        rays=seconds - solving - casting + casting / _ROUGH**2,
+        solve=solving,
+        steps=tuple(field.report.steps if field else 0 for field in (whole, half)),
+    )
 
 
 def _with_photons(pilot, whole, few, many, counts, size):
     """The `Pilot` with what two sets of photons tell, and how wrong the lattice is.
 
     counts  (2,) of photons
-    size    L2 of the light that errors are relative to
+    size    as above
     """
     # Of one photon, were it alone.
     noise = _size(few.fluence - many.fluence) / size / sqrt(sum(1 / count for count in counts))

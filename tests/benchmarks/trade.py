@@ -34,6 +34,7 @@ A_VOXEL = (4, 32, 256)  # photons
 DEFAULT = Settings()
 DIALS = {
     "resolution": [("8", {"merge": 4}), ("16", {"merge": 2}), ("32", {}), ("64", {"divide": 2})],
+    "rays": [(f"{n:g}", {"rays": n}) for n in (0.5, 2.0)],
     "tolerance": [(f"{t:g}", {"tolerance": t}) for t in (0.1, 0.01, 0.001)],
     "handover": [(f"{t:g}", {"handover": t}) for t in (1.0, 2.0, 4.0)],
     "traced collisions": [("4", {"traced_collisions": 4})],

@@ -18,6 +18,7 @@ from matplotlib.ticker import NullLocator
 KINDS = {
     "lattice, 8 to 128 voxels": ("resolution", "#c44536"),
     "other tolerances": ("tolerance", "#e8a598"),
+    "half and twice the rays": ("rays", "#8c6d5a"),
     "photons, then the lattice": ("handover", "#d99a2b"),
     "of other numbers": ("photons a voxel, T=2", "#f0d39a"),
     "and merged voxels": ("16 voxels and photons, T=2", "#7a4fa3"),

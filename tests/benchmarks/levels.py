@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How bright a small cloud is as baked, over Cycles' own picture, by kind of light.
+
+    python -m tests.benchmarks.levels
+
+renders the scenes of tests/output/test_light_levels.py in finer voxels and with more samples than
+the tests take; columns are means over the picture, over those of Cycles, in each band.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import bpy
+import numpy as np
+
+import lb_lighting
+from lb_lighting.cli import leave
+from lb_lighting.transport import device
+from tests.benchmarks.table import publish
+from tests.output import test_light_levels as scenes
+
+VOXELS, FIRE_VOXELS, SAMPLES = 24, 16, 256
+INSIDE = (16, 24, 32)  # voxels, of a point inside
+FORWARD = {"g .85, sun on our side": (1, -2, 3), "g .85, sun behind": (-1, 6, 2)}
+
+
+def lit(name, light, folder, mode="REPLACE", margin=4, **medium):
+    """The row of a light: a function that adds it to the scene, and may add a cloud of its own."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scenes.look()
+    cloud = light() or scenes.add_cloud(folder, **medium)
+    expected, found, _ = scenes.pictures(folder, cloud, mode, samples=SAMPLES, margin=margin)
+    ratios = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
+    row = dict(zip(("red", "green", "blue"), map(float, ratios), strict=True))
+    return {"light": name, "voxels": scenes.EDGE, "mode": mode} | row
+
+
+def lamp(kind, place, **settings):
+    def add():
+        scenes.add_lamp(kind, place, **settings)
+
+    return add
+
+
+def rows(folder):
+    scenes.EDGE = VOXELS
+    for light in scenes.LIGHTS:
+        yield lit(light.__name__, light, folder)
+    soft = lamp("POINT", scenes.INSIDE, energy=300.0, shadow_soft_size=0.1)
+    for extinction in (2.0, 5.0):
+        name = f"point inside, radius .1 m, {extinction:g}/m"
+        yield lit(name, soft, folder, margin=8, extinction=extinction)
+    for name, place in FORWARD.items():
+        sun = lamp("SUN", place, energy=3.0)
+        yield lit(name, sun, folder, extinction=20.0, albedo=0.98, g=0.85)
+    scenes.EDGE = FIRE_VOXELS
+    for kind, inputs in scenes.FIRES.items():
+        for mode in ("REPLACE", "ADD"):
+            yield lit(f"fire, {kind}", lambda i=inputs: scenes.add_fire(folder, **i), folder, mode)
+
+
+def inside(folder):
+    """A point's light that has scattered once, over its integral, which is no picture of Cycles."""
+    for scenes.EDGE in INSIDE:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        ratio = float(np.mean(scenes.point_inside(folder)))
+        yield {"light": "point inside, once, to the integral", "voxels": scenes.EDGE, "red": ratio}
+
+
+def main():
+    lb_lighting.register()
+    with TemporaryDirectory() as folder:
+        found = [*rows(Path(folder)), *inside(Path(folder))]
+    publish("levels", device.choose().label, found)
+    leave(0)
+
+
+if __name__ == "__main__":
+    main()
