@@ -32,7 +32,7 @@ _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
 _RAYS = (0.5, 1.0, 2.0, 4.0)
 # What is left of the lattice's error where photons go before it.
 _LEFT = (0, 1, 2, 4), (1, 0.75, 0.6, 0.45)  # by handover
-_FIXED = 0.04  # s that a solve with scattered light takes of however little
+_FIXED = 0.04  # s that a solve takes of however little; half of it without a lattice
 _FEWEST_VOXELS = 8  # along the longest edge of a lattice
 _FEWEST_PHOTONS = 10_000
 
@@ -198,7 +198,7 @@ def _expected_seconds(settings, pilot, medium, edge):
     of_rays = settings.rays**2 / _rays(pilot.edge)
     once = pilot.once * of_rays * _rays(edge)
     if settings.scattering == "single":
-        return once
+        return once + _FIXED / 2
     large = edge / settings.merge
     seconds = _FIXED + (once if settings.merge > 1 else 0.0)
     if settings.handover:

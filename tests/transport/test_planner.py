@@ -168,7 +168,7 @@ def test_larger_domains_are_foretold_from_small_ones():
     merged = planner._expected_seconds(Settings(merge=2), pilot, medium, 64)
     assert merged == 8 / 4 / 2 + small
     alone = planner._expected_seconds(Settings(scattering="single"), pilot, medium, 64)
-    assert alone == 8 / 4 / 2
+    assert alone == 8 / 4 / 2 + fixed / 2
     twice = planner._expected_seconds(Settings(rays=2.0), pilot, medium, 64)
     assert twice == 4 * 8 / 4 + 8 + fixed
     alone = replace(pilot, steps=(40, 0))  # too dark to be merged
