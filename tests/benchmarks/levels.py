@@ -13,23 +13,26 @@ from tempfile import TemporaryDirectory
 import bpy
 import numpy as np
 
-import lb_lighting
-from lb_lighting.cli import leave
-from lb_lighting.transport import device
-from tests.benchmarks.table import publish
-from tests.output import test_light_levels as scenes
+bpy.utils.expose_bundled_modules()
+
+import lb_lighting  # noqa: E402
+from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.transport import device  # noqa: E402
+from tests.benchmarks.table import publish  # noqa: E402
+from tests.output import test_light_levels as scenes  # noqa: E402
 
 VOXELS, FIRE_VOXELS, SAMPLES = 24, 16, 256
 INSIDE = (16, 24, 32)  # voxels, of a point inside
 FORWARD = {"g .85, sun on our side": (1, -2, 3), "g .85, sun behind": (-1, 6, 2)}
 
 
-def lit(name, light, folder, mode="REPLACE", margin=4, **medium):
-    """The row of a light: a function that adds it to the scene, and may add a cloud of its own."""
+def lit(name, light, folder, mode="REPLACE", margin=4, add=scenes.add_cloud, **medium):
+    """The row of a light, which is a function that adds it to the scene; add makes the volume."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scenes.look()
-    cloud = light() or scenes.add_cloud(folder, **medium)
-    expected, found, _ = scenes.pictures(folder, cloud, mode, samples=SAMPLES, margin=margin)
+    light()
+    volume = add(folder, **medium)
+    expected, found, _ = scenes.pictures(folder, volume, mode, samples=SAMPLES, margin=margin)
     ratios = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
     row = dict(zip(("red", "green", "blue"), map(float, ratios), strict=True))
     return {"light": name, "voxels": scenes.EDGE, "mode": mode} | row
@@ -40,6 +43,10 @@ def lamp(kind, place, **settings):
         scenes.add_lamp(kind, place, **settings)
 
     return add
+
+
+def none():
+    """A fire shines by itself."""
 
 
 def rows(folder):
@@ -56,7 +63,7 @@ def rows(folder):
     scenes.EDGE = FIRE_VOXELS
     for kind, inputs in scenes.FIRES.items():
         for mode in ("REPLACE", "ADD"):
-            yield lit(f"fire, {kind}", lambda i=inputs: scenes.add_fire(folder, **i), folder, mode)
+            yield lit(f"fire, {kind}", none, folder, mode, add=scenes.add_fire, **inputs)
 
 
 def inside(folder):
