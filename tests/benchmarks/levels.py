@@ -8,7 +8,7 @@ the tests take; columns are means over the picture, over those of Cycles, in eac
 """
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 
 import bpy
 import numpy as np
@@ -31,11 +31,17 @@ def lit(name, light, folder, mode="REPLACE", margin=4, add=scenes.add_cloud, **m
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scenes.look()
     light()
+    folder = fresh(folder)
     volume = add(folder, **medium)
     expected, found, _ = scenes.pictures(folder, volume, mode, samples=SAMPLES, margin=margin)
     ratios = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
     row = dict(zip(("red", "green", "blue"), map(float, ratios), strict=True))
     return {"light": name, "voxels": scenes.EDGE, "mode": mode} | row
+
+
+def fresh(folder):
+    """A new folder: Blender never reads a path again."""
+    return Path(mkdtemp(dir=folder))
 
 
 def lamp(kind, place, **settings):
@@ -70,7 +76,7 @@ def inside(folder):
     """A point's light that has scattered once, over its integral, which is no picture of Cycles."""
     for scenes.EDGE in INSIDE:
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        ratio = float(np.mean(scenes.point_inside(folder)))
+        ratio = float(np.mean(scenes.point_inside(fresh(folder))))
         yield {"light": "point inside, once, to the integral", "voxels": scenes.EDGE, "red": ratio}
 
 
