@@ -23,7 +23,6 @@ from tests.output import test_light_levels as scenes  # noqa: E402
 
 VOXELS, FIRE_VOXELS, SAMPLES = 24, 16, 256
 INSIDE = (16, 24, 32)  # voxels, of a point inside
-FORWARD = {"g .85, sun on our side": (1, -2, 3), "g .85, sun behind": (-1, 6, 2)}
 
 
 def lit(name, light, folder, mode="REPLACE", margin=4, add=scenes.add_cloud, **medium):
@@ -63,9 +62,9 @@ def rows(folder):
     for extinction in (2.0, 5.0):
         name = f"point inside, radius .1 m, {extinction:g}/m"
         yield lit(name, soft, folder, margin=8, extinction=extinction)
-    for name, place in FORWARD.items():
+    for side, place in scenes.FORWARD.items():
         sun = lamp("SUN", place, energy=3.0)
-        yield lit(name, sun, folder, extinction=20.0, albedo=0.98, g=0.85)
+        yield lit(f"g .85, sun {side}", sun, folder, **scenes.DENSE)
     scenes.EDGE = FIRE_VOXELS
     for kind, inputs in scenes.FIRES.items():
         for mode in ("REPLACE", "ADD"):

@@ -25,9 +25,13 @@ LIMIT = 0.05  # by which a picture's mean may differ
 # Light of an area counts as a lobe about its mean direction, with all that is scattered: measured
 # 3 % too dark, and 8 % where slats make it a beam.
 LIMIT_OF_AREAS = 0.1
-# A few lobes stand for light that scatters forwards a few times: measured 15 % too dark from the
-# sun's side in this small cloud.
-LIMIT_OF_LOBES = 0.18
+LIMIT_OF_LOBES = 0.1  # where light scatters forwards many times
+# Where a sun shines on a dense cloud that scatters forwards.
+FORWARD = {"on our side": (1, -2, 3), "behind": (-1, 6, 2)}
+DENSE = {"extinction": 20.0, "albedo": 0.98, "g": 0.85}
+TOO_DARK = pytest.mark.xfail(
+    strict=True, reason="a few lobes stand for light that scatters forwards a few times: 15 % dark"
+)
 
 
 def cloud():
@@ -173,14 +177,13 @@ def test_level_is_that_of_cycles(light, tmp_path):
     assert ratio == pytest.approx(1, abs=limit)
 
 
-@pytest.mark.parametrize("place", [(1, -2, 3), (-1, 6, 2)], ids=["on our side", "behind"])
-def test_level_of_light_scattered_forwards_is_that_of_cycles(place, tmp_path):
+@pytest.mark.parametrize("side", [pytest.param("on our side", marks=TOO_DARK), "behind"])
+def test_level_of_light_scattered_forwards_is_that_of_cycles(side, tmp_path):
     """A dense cloud: light of many small angles goes on into it, and light of many scatterings
     comes back out of it."""
     look()
-    add_lamp("SUN", place, energy=3.0)
-    cloud = add_cloud(tmp_path, 20.0, 0.98, 0.85)
-    expected, found, _ = pictures(tmp_path, cloud, samples=256)
+    add_lamp("SUN", FORWARD[side], energy=3.0)
+    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path, **DENSE), samples=256)
     assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_LOBES)
 
 
