@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Unscattered light: rays go from voxel to voxel (Amanatides and Woo 1987) and leave what collides
 // on the way. transport/direct.py has the twin. Built with
-//   DIRECTED    the rays have different directions: tally these, too
 //   OCCLUDED    voxels stop light, and reflect some of it
-//   EMITTING    rays start empty and gather the light of the voxels; a ray's weight is what it
-//               gathers in a voxel edge where `glow` is 1
 //
 // Lengths are in voxel edges, and places run along the ray: from 0 where a ray that goes this way
 // enters a voxel to 1 where it leaves, by axis, in each voxel anew, so that rounding does not grow
@@ -19,17 +16,12 @@
 // voxel's edge is deeper than 1, the weight that collides; they differ by that depth.
 #define SCORE 0
 #define POSITION 1  // three: score and place of the collisions from the voxel's centre
-#define DIRECTION 4 // three, where DIRECTED: score and direction
-#ifdef DIRECTED
+#define DIRECTION 4 // three: score and direction
 #define TALLIES 7
-#else
-#define TALLIES 4
-#endif
 
 // What a work-item counts for all its rays.
 #define STOPPED 6 // behind the light that left through the faces -x, +x, -y, +y, -z, +z
-#define EMITTED 7
-#define SUMS 8
+#define SUMS 7
 
 static void add(volatile __global uint *tally, const size_t upper, const float weight)
 {
@@ -66,14 +58,12 @@ static float moved(const float place, const float step, float *rest)
 // depth       of a voxel's edge, by voxel
 // occlusion   share of the light arriving at a voxel that it stops, where OCCLUDED
 // reflecting  share that it reflects
-// glow        emission, from 0 to 1, where EMITTING
 // rays        7 x count: place in the first voxel, unit direction, weight from 0 to 1
 // starts      2 x count: first voxel; the face of the domain that a ray comes through, or -1
 __kernel void march(const int nx, const int ny, const int nz, __global const float *depth,
                     __global const float *occlusion, __global const float *reflecting,
-                    __global const float *glow, __global const float *rays,
-                    __global const int *starts, const int count, __global uint *tallies,
-                    __global uint *reflected, __global long *sums)
+                    __global const float *rays, __global const int *starts, const int count,
+                    __global uint *tallies, __global uint *reflected, __global long *sums)
 {
     const size_t voxels = (size_t)nx * ny * nz, upper = TALLIES * voxels;
     long sum[SUMS];
@@ -95,10 +85,7 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
         const int next_x = dx < 0 ? -ny * nz : ny * nz, next_y = dy < 0 ? -nz : nz;
         const int next_z = dz < 0 ? -1 : 1;
         float weight = rays[6 * count + ray], rest_x = 0.0f, rest_y = 0.0f, rest_z = 0.0f;
-#ifdef EMITTING
-        const float gathered = weight;
-        weight = 0.0f;
-#elif defined(OCCLUDED)
+#ifdef OCCLUDED
         const int face = starts[count + ray];
         if (face >= 0) {
             const float stopped = weight * occlusion[voxel], back = weight * reflecting[voxel];
@@ -115,33 +102,18 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
             const float edge = depth[voxel];
             const Fade f = fade(edge * way);
             __global uint *tally = tallies + TALLIES * (size_t)voxel;
-            const float score = weight * (edge > 1.0f ? 1.0f - f.through : way * f.mean);
-            float total = score, placed = score * way * f.place;
-#ifdef EMITTING
-            // Of what starts on the way: the share 1 - mean collides, further on.
-            const float fresh = gathered * glow[voxel] * way, t = edge * way;
-            const float own = fresh * (edge > 1.0f ? 1.0f - f.mean : way * f.lost);
-            total += own;
-            placed += own * way * (t < 0.1f ? 2 / 3.0f - t * (1 / 36.0f - t * (1 / 540.0f))
-                                            : (0.5f - f.mean * f.place) / (1.0f - f.mean));
-            weight = weight * f.through + fresh * f.mean;
-            sum[EMITTED] += in_units(fresh);
-#else
+            const float total = weight * (edge > 1.0f ? 1.0f - f.through : way * f.mean);
+            const float placed = total * way * f.place;
             weight *= f.through;
-#endif
             add(tally + SCORE, upper, total);
             if (edge > 0.0f) {
                 add(tally + POSITION, upper, sx * (total * (x - 0.5f) + placed * ax));
                 add(tally + POSITION + 1, upper, sy * (total * (y - 0.5f) + placed * ay));
                 add(tally + POSITION + 2, upper, sz * (total * (z - 0.5f) + placed * az));
             }
-#ifdef DIRECTED
             add_vector(tally + DIRECTION, upper, total, dx, dy, dz);
-#endif
-#ifndef EMITTING
             if (weight < FAINTEST)
                 break;
-#endif
             const int by_x = way == tx, by_y = !by_x && way == ty, by_z = !by_x && !by_y;
             x = by_x ? 1.0f : moved(x, way * ax, &rest_x);
             y = by_y ? 1.0f : moved(y, way * ay, &rest_y);

@@ -20,9 +20,10 @@ static Fade fade(const float t)
         f.mean = 1.0f - t * f.lost;
         f.place = 0.5f - t * (1 / 12.0f - t * t * (1 / 720.0f - t * t * (1 / 30240.0f)));
     } else {
-        f.mean = (1.0f - f.through) / t;
-        f.lost = (1.0f - f.mean) / t;
-        f.place = 1.0f / t - f.through / (1.0f - f.through);
+        const float inverse = 1.0f / t;
+        f.mean = (1.0f - f.through) * inverse;
+        f.lost = (1.0f - f.mean) * inverse;
+        f.place = inverse - f.through / (1.0f - f.through);
     }
     return f;
 }

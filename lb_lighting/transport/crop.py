@@ -77,77 +77,70 @@ def stream_on(lattice, box, scale, fluence, flux):
     """
     left = np.zeros(6)
     for leaving, c, length in zip(lattice.leaving(), MOVING, LENGTHS, strict=True):
-        targets = [(fluence, scale * length)]
-        targets += [(part, scale * n) for part, n in zip(flux, c, strict=True) if n]
         axes = np.flatnonzero(c)
-        faces = 2 * axes + (c[axes] > 0)
-        left[faces] += _fly(_Way(box, c), leaving, targets)
+        light = _Leaving(leaving, box, c, axes)
+        light.add_to(fluence, scale * length)
+        for axis in axes:
+            light.add_to(flux[axis], scale * c[axis])
+        left[2 * axes + (c[axes] > 0)] += light.left()
     return left
 
 
-class _Way:
-    """A domain as light finds it that flies along a direction: all steps lead upwards.
+class _Leaving:
+    """Light that leaves a box along a direction, which leads upwards as seen here.
 
-    axis    along which it goes from plane to plane
-    across  the other axis along which it moves, among a plane's two; None if there is none
-    begin, end, planes  the box's first plane and that behind it, and how many there are
-    inside  the box, in a plane
+    Of grids the axes that it moves along come first. It leaves through the last plane of the first
+    of these, and along a diagonal through the last row of the others, too: these rows, one behind
+    the other, are the light that crosses any plane further on, one row further each time.
+
+    light  (rows, ...), or without a diagonal (...)
     """
 
-    def __init__(self, box, c):
-        self.box, self.c = box, c
-        self.axis, *others = np.flatnonzero(c)
-        self.across = others[0] - 1 if others else None
+    def __init__(self, leaving, box, c, axes):
+        self.c, self.axes, self.diagonal = c, axes, len(axes) > 1
         ends = [
-            (n - b, n - a) if step < 0 else (a, b)
+            (n - b, n - a, n) if step < 0 else (a, b, n)
             for a, b, n, step in zip(box.lower, box.upper, box.whole, c, strict=True)
         ]
-        self.planes = box.whole[self.axis]
-        self.begin, self.end = ends.pop(self.axis)
-        moves = np.delete(c, self.axis) != 0
-        self.inside = tuple(
-            slice(*span) if moving else slice(None)
-            for span, moving in zip(ends, moves, strict=True)
-        )
-
-    def turned(self, grid):
-        """A view of a grid of the domain: what may be reached, by planes."""
-        reached = tuple(
+        # Of the box the first, and the one behind it; of the domain how many.
+        self.begin, self.end, self.planes = ends[axes[0]]
+        self.row, self.row_end, self.rows = ends[axes[-1]]
+        self.beside = tuple(
             slice(None) if step else slice(a, b)
-            for a, b, step in zip(self.box.lower, self.box.upper, self.c, strict=True)
+            for a, b, step in zip(box.lower, box.upper, c, strict=True)
         )
-        return self.flipped(grid[reached])
+        leaving = self._turned(leaving)
+        self.light = leaving[-1]
+        if self.diagonal:
+            self.light = np.concatenate([self.light, leaving[-2::-1, -1]])
 
-    def flipped(self, grid):
-        return np.moveaxis(np.flip(grid, np.flatnonzero(self.c < 0)), self.axis, 0)
+    def _turned(self, grid):
+        flipped = np.flip(grid, np.flatnonzero(self.c < 0))
+        return np.moveaxis(flipped, self.axes, range(len(self.axes)))
 
+    def add_to(self, grid, factor):
+        """Add it, times a factor, to a grid (nx, ny, nz) wherever it comes by."""
+        grid, light = self._turned(grid[self.beside]), self.light * factor
+        if not self.diagonal:
+            grid[self.end :] += light
+            return
+        for plane in range(self.begin + 1, self.planes):
+            row = self._first_row(plane)
+            # Beside the box: only what has left it in planes before.
+            first = max(self.row_end - row, 0) if plane < self.end else 0
+            last = min(len(light), self.rows - row)
+            if first < last:
+                grid[plane, row + first : row + last] += light[first:last]
 
-def _fly(way, leaving, targets):
-    """Add light, times a factor, to each of the targets (grid, factor) where it comes by outside
-    of the box; what leaves the domain through the end of the first axis, and of the second."""
-    light, left = way.flipped(leaving), np.zeros(1 if way.across is None else 2)
-    targets = [(way.turned(grid), factor) for grid, factor in targets]
-    flow = np.zeros(targets[0][0].shape[1:], leaving.dtype)
-    for plane in range(way.begin, way.planes):
-        if plane < way.end:
-            flow[way.inside] = 0
-        for grid, factor in targets:
-            grid[plane] += factor * flow
-        if plane < way.end:
-            flow[way.inside] = light[plane - way.begin]
-        if way.across is not None and plane < way.planes - 1:
-            flow, out = _moved(flow, way.across)
-            left[1] += out
-    left[0] = flow.sum(dtype=float)
-    return left
+    def left(self):
+        """What leaves the domain, by axis."""
+        light = self.light.reshape(len(self.light), -1).sum(axis=1, dtype=float)
+        if not self.diagonal:
+            return light.sum()
+        # Rows that are still there in the last plane leave through it, also in the corner.
+        there = max(self.rows - self._first_row(self.planes - 1), 0)
+        return light[:there].sum(), light[there:].sum()
 
-
-def _moved(flow, axis):
-    """(light in a plane that has moved on by a voxel along an axis, the sum of what it lost)."""
-    first, last, rest, ahead = (
-        (slice(None),) * axis + (part,)
-        for part in (slice(1), slice(-1, None), slice(-1), slice(1, None))
-    )
-    moved = np.empty_like(flow)
-    moved[first], moved[ahead] = 0, flow[rest]
-    return moved, flow[last].sum(dtype=float)
+    def _first_row(self, plane):
+        """Where the first of the light's rows has come to in a plane."""
+        return self.row + plane - self.end + 1

@@ -15,15 +15,15 @@ import numpy as np
 from ..errors import Cancelled
 from . import device as devices
 from .crop import Box
-from .fade import fade, own_place
-from .lights import Emission, Sky, Sun, rank_1, shift_of
-from .sweep import Beam, NumpySweep
+from .fade import fade
+from .lights import Emission, rank_1, shift_of
+from .sweep import STOPPED, Beam, NumpySweep, Turn
 
 # What a voxel's tallies and the sums of all rays count, as in kernels/direct.cl.
 _SCORE, _POSITION, _DIRECTION, _TALLIES = 0, slice(1, 4), slice(4, 7), 7
-_STOPPED, _EMITTED = 6, 7
 
 _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
+_BEAMS_AT_ONCE = 8  # whose rays are in memory
 # Rays of a light that cannot say itself how many it needs: at most; and by per_edge^2 and faces of
 # voxels on half the border.
 _MOST, _FOR_ALL = 2**22, 4
@@ -50,7 +50,9 @@ class Cast:
     """Where the unscattered light of one light and band goes; arrays are float32.
 
     direct     (nx, ny, nz) W/m^2, its fluence
-    flux       (3, nx, ny, nz) W/m^2, its net flux
+    toward     its net flux, (3, nx, ny, nz) W/m^2; or where all of it goes one way, that unit
+               vector, (3,)
+    shade      a `Box`: elsewhere light has met nothing
     collided   `Moments` of its first collisions, before any albedo; with the directions before;
                of voxels in the box that was asked for, like the next
     reflected  (nx, ny, nz) W, what opaque matter reflects, by the voxel that it goes back into;
@@ -61,39 +63,64 @@ class Cast:
     """
 
     direct: np.ndarray
-    flux: np.ndarray
+    toward: np.ndarray
+    shade: Box
     collided: Moments
     reflected: np.ndarray | None
     left: np.ndarray
     stopped: float
     entered: float
 
+    @property
+    def flux(self):
+        """(3, nx, ny, nz) W/m^2, its net flux."""
+        if self.toward.ndim > 1:
+            return self.toward
+        return self.toward.astype(np.float32).reshape(3, 1, 1, 1) * self.direct
+
+    def over(self, other):
+        """(direct, flux) in the shade, by which it is more than another of the same light."""
+        shade = self.shade.of
+        direct = shade(self.direct) - shade(other.direct)
+        if self.toward.ndim > 1:
+            return direct, shade(self.toward) - shade(other.toward)
+        return direct, self.toward.astype(np.float32).reshape(3, 1, 1, 1) * direct
+
 
 @dataclass(frozen=True)
-class _Voxels:
+class Voxels:
     """What rays meet: each (nx, ny, nz), or None.
 
     depth       optical depth of a voxel's edge
+    glow        emission, from 0 to 1
     occlusion   share of arriving light that is stopped
     reflecting  share of arriving light that is reflected
-    glow        emission, from 0 to 1
     """
 
     depth: np.ndarray
+    glow: np.ndarray | None
     occlusion: np.ndarray | None
     reflecting: np.ndarray | None
-    glow: np.ndarray | None
+
+    @property
+    def grids(self):
+        return self.depth, self.glow, self.occlusion, self.reflecting
+
+    def of(self, part):
+        """The same of what a function makes of each grid."""
+        return Voxels(*(None if grid is None else part(grid) for grid in self.grids))
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Scores:
     """What rays scored, in weights.
 
     score      (nx, ny, nz)
     position   (3, of the box)
     direction  (3, nx, ny, nz), or (3,) the unit vector where all rays have one
-    reflected  (nx, ny, nz), or None without opaque voxels
-    sums       as in kernels/direct.cl
+    reflected  (of the box), or None without opaque voxels
+    sums       (7,), what left through the faces -x, +x, -y, +y, -z, +z, and what was stopped
+    shade      a `Box`: elsewhere light has met nothing
     """
 
     score: np.ndarray
@@ -101,6 +128,37 @@ class _Scores:
     direction: np.ndarray
     reflected: np.ndarray | None
     sums: np.ndarray
+    shade: Box
+
+    @classmethod
+    def dark(cls, shape, box, directions, occluded):
+        """Of beams of some directions (n, 3) that are still to be sent."""
+        one = len(directions) == 1
+        direction = directions[0] if one else np.zeros((3, *shape), np.float32)
+        reflected = np.zeros(box.shape, np.float32) if occluded else None
+        grids = np.zeros(shape, np.float32), np.zeros((3, *box.shape), np.float32)
+        return cls(*grids, direction, reflected, np.zeros(STOPPED + 1), Box.all(shape))
+
+    def add(self, turn, tallies):
+        """Add turned `Tallies`."""
+        if tallies.toward is None:  # of a single beam: there is nothing yet
+            self.score = turn.back(tallies.score)
+        else:
+            self.score += turn.back(tallies.score)
+        if tallies.reflected is not None:
+            self.reflected += turn.back(tallies.reflected)
+        for number, axis in enumerate(turn.order):
+            self.position[axis] += turn.back(tallies.position[number])
+            if tallies.toward is not None:
+                self.direction[axis] += turn.back(tallies.toward[number])
+        self.sums[:STOPPED] += turn.by_face(tallies.sums[:STOPPED])
+        self.sums[STOPPED] += tallies.sums[STOPPED]
+
+    def let_out(self, beam, rays, beside):
+        """Add what is left of a beam's rays; how many rays cross the domain."""
+        left, count = beam.leaving(rays, beside)
+        self.sums[:STOPPED] += beam.share * beam.turn.by_face(left)
+        return count
 
 
 def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, box=None):
@@ -112,22 +170,16 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
     per_edge  rays along a voxel's edge: see `rays` of each light
     cancel    called without arguments; the cast ends with `Cancelled` where it returns true
-    box       a `Box` that holds all matter; None for the whole domain
+    box       a `Box` that holds all matter, and all that shines; None for the whole domain
     Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
     """
     device, box = devices.choose(device), box or Box.all(medium.shape)
-    if isinstance(light, (Sun, Sky)) and medium.occlusion is None:
+    if hasattr(light, "suns"):
         return _swept(medium, box, light, band, sigma_t, device, per_edge, cancel)
-    emission = light.spectrum[band] if isinstance(light, Emission) else None
-    voxels = _voxels(medium, band, sigma_t, emission)
-    march = _march(device, voxels, directed=not isinstance(light, Sun))
+    march = _march(device, _voxels(medium, Box.all(medium.shape), band, sigma_t))
     strongest, pieces = _rays(light, medium, band, per_edge)
-    # W of a ray of weight 1, the largest that there is. Rays that gather light have at most that
-    # of all the voxels that they can cross.
-    brightest = 1.0 if emission is None else float(emission.max()) * medium.voxel_size
-    unit = strongest * brightest * (1 if emission is None else sum(medium.shape))
     entered = 0.0
-    for origins, directions, power in _gathered(pieces) if unit > 0 else ():
+    for origins, directions, power in _gathered(pieces) if strongest > 0 else ():
         if cancel is not None and cancel():
             raise Cancelled("Cancelled; nothing was changed.")
         places, hit, starts, faces = enter(medium.domain, origins, directions)
@@ -135,15 +187,13 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
         if not power.size:
             continue
         entered += float(power.sum())
-        march.march(places, directions[hit], power * (brightest / unit), starts, faces)
+        march.march(places, directions[hit], power / strongest, starts, faces)
     tallies, reflected, sums = march.read()
-    toward = _toward(light) if isinstance(light, Sun) else tallies[_DIRECTION]
-    scores = _Scores(tallies[_SCORE], box.of(tallies[_POSITION]), toward, reflected, sums)
-    if emission is not None and unit > 0:
-        # What rays gathered is a little off the whole, which is known.
-        entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
-        unit = entered / sums[_EMITTED]
-    found = _cast(medium, box, sigma_t, unit, scores, entered)
+    reflected = None if reflected is None else box.of(reflected)
+    position = box.of(tallies[_POSITION])
+    everywhere = Box.all(medium.shape)
+    scores = _Scores(tallies[_SCORE], position, tallies[_DIRECTION], reflected, sums, everywhere)
+    found = _cast(medium, box, sigma_t, strongest, scores, entered)
     softness = light.softness(medium.domain) if hasattr(light, "softness") else None
     return found if softness is None else _softened(found, box, softness.astype(np.float32))
 
@@ -161,59 +211,72 @@ def plan(shape, occluded=True):
 
 
 def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
-    """The `Cast` of a sun or a sky where nothing is opaque: of each of its suns, by layers."""
-    directions, irradiances, of_each = light.suns(medium, band, per_edge)
-    lattice, depth = rank_1(of_each**2), box.spread(medium.depth(sigma_t, box))
-    strongest = float(irradiances.max(initial=0)) * medium.voxel_size**2 / lattice.shape[1]
-    alone = len(directions) == 1
-    score = np.zeros(medium.shape, np.float32)
-    position = np.zeros((3, *box.shape), np.float32)
-    toward = directions[0] if alone else np.zeros((3, *medium.shape), np.float32)
-    left, entered = np.zeros(_EMITTED + 1), 0.0
-    for number, direction in enumerate(directions if strongest > 0 else ()):
-        beam = Beam(direction, medium.shape, (lattice + shift_of(number)) % 1, box)
-        share = np.float32(irradiances[number] / irradiances.max() * beam.dw)
-        found, places, rays = _sweep(device, beam, depth).run(cancel)
-        through, count = beam.leaving(rays)
-        left[:_STOPPED] += share * through
-        entered += strongest * float(share) * count  # which may be too small for float32
-        found *= share
-        score += beam.back(found)
-        u, v, w = (beam.back(place) * share for place in places)
-        for place, axis, backward in zip((w, u, v), beam.order, beam.backward, strict=True):
-            position[axis] += -place if backward else place
-        if not alone:
-            for part, component in zip(toward, direction, strict=True):
-                part += np.float32(component) * beam.back(found)
-    return _cast(
-        medium, box, sigma_t, strongest, _Scores(score, position, toward, None, left), entered
-    )
+    """The `Cast` of what shines as suns do: of each of these, by layers."""
+    directions, strengths, of_each = light.suns(medium, band, per_edge)
+    lattice, strongest = rank_1(of_each**2), float(strengths.max(initial=0))
+    # A column of voxels is as wide as the cosine of the angle that it is seen at.
+    shares = strengths / (strongest or 1.0) * np.abs(directions).max(axis=1)
+    # W of a ray of weight 1; for one that gathers light the weight is that of a voxel's edge.
+    unit = strongest * medium.voxel_size**2 / lattice.shape[1]
+    emission, entered = None, 0.0
+    if isinstance(light, Emission):
+        emission = light.spectrum[band]
+        unit *= float(emission.max()) * medium.voxel_size
+        entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
+    voxels = _voxels(medium, box, band, sigma_t, emission)
+    scores = _Scores.dark(medium.shape, box, directions, voxels.occlusion is not None)
+    longest = np.abs(directions).argmax(axis=1)
+    for axis in np.unique(longest[shares > 0]):
+        turn = Turn(axis, medium.shape, box)
+        sweep = _sweep(device, turn, voxels.of(turn.turned), directed=len(directions) > 1)
+        beams = [
+            Beam(directions[n], shares[n], turn, (lattice + shift_of(n)) % 1)
+            for n in np.flatnonzero((longest == axis) & (shares > 0))
+        ]
+        for some in _from_one_side(beams):
+            rays, beside = sweep.run(some, cancel)
+            for beam, left in zip(some, rays, strict=True):
+                count = scores.let_out(beam, left, beside)
+                entered += 0.0 if emission is not None else unit * beam.share * count
+        scores.add(turn, sweep.read())
+        if len(directions) == 1:
+            scores.shade = beams[0].shade()
+    return _cast(medium, box, sigma_t, unit, scores, entered)
 
 
-def _sweep(device, beam, depth):
+def _from_one_side(beams):
+    """[[beam]]: so many as are sent at once."""
+    for backward in (False, True):
+        some = [beam for beam in beams if beam.backward[0] == backward]
+        for first in range(0, len(some), _BEAMS_AT_ONCE):
+            yield some[first : first + _BEAMS_AT_ONCE]
+
+
+def _sweep(device, turn, voxels, directed):
     if device.kind == "NumPy":
-        return NumpySweep(beam, depth)
-    from .direct_opencl import OpenclSweep  # only now: it needs pyopencl
+        return NumpySweep(turn, voxels, directed)
+    from .sweep_opencl import OpenclSweep  # only now: it needs pyopencl
 
-    return OpenclSweep(device, beam, depth)
+    return OpenclSweep(turn, voxels, directed, device)
 
 
-def _voxels(medium, band, sigma_t, emission):
-    occlusion = reflecting = glow = None
-    if medium.occlusion is not None:
-        occlusion = medium.occlusion
-        reflecting = occlusion * medium.occlusion_albedo[band]
+def _voxels(medium, box, band, sigma_t, emission=None):
+    """The `Voxels` of a box."""
+    glow = occlusion = reflecting = None
     if emission is not None:
-        glow = emission / max(float(emission.max()), np.finfo(np.float32).tiny)
-    return _Voxels(medium.depth(sigma_t), occlusion, reflecting, glow)
+        glow = box.of(emission) / max(float(emission.max()), np.finfo(np.float32).tiny)
+    if medium.occlusion is not None:
+        occlusion = box.of(medium.occlusion)
+        reflecting = occlusion * box.of(medium.occlusion_albedo[band])
+    return Voxels(medium.depth(sigma_t, box), glow, occlusion, reflecting)
 
 
-def _march(device, voxels, directed):
+def _march(device, voxels):
     if device.kind == "NumPy":
-        return NumpyMarch(voxels, directed)
+        return NumpyMarch(voxels)
     from .direct_opencl import OpenclMarch  # only now: it needs pyopencl
 
-    return OpenclMarch(device, voxels, directed)
+    return OpenclMarch(device, voxels)
 
 
 def _rays(light, medium, band, per_edge):
@@ -283,26 +346,26 @@ def _cast(medium, box, sigma_t, unit, scores, entered):
     h, depth, score = medium.voxel_size, medium.depth(sigma_t, box), box.of(scores.score)
     direct, colliding = _product(unit / h**2, scores.score), unit * np.minimum(1, depth)
     box.of(direct)[...] /= np.maximum(1, depth)
-    if scores.direction.ndim == 1:
-        toward = scores.direction.reshape(3, 1, 1, 1)
-        flowing, along = _product(toward, direct), _product(toward, colliding * score)
+    toward = scores.direction
+    if toward.ndim == 1:
+        along = _product(toward.reshape(3, 1, 1, 1), colliding * score)
     else:
-        flowing = _product(unit / h**2, scores.direction)
-        box.of(flowing)[...] /= np.maximum(1, depth)
-        along = _product(colliding, box.of(scores.direction))
+        along = _product(colliding, box.of(toward))
+        toward = _product(unit / h**2, toward)
+        box.of(toward)[...] /= np.maximum(1, depth)
     place = _product(colliding * h, scores.position)
     collided = Moments(_product(colliding, score), place, along)
     reflected, sums = scores.reflected, scores.sums
     if reflected is not None:
-        reflected = (unit * box.of(reflected).astype(float)).astype(np.float32)
-    left, stopped = unit * sums[:_STOPPED], float(unit * sums[_STOPPED])
-    return Cast(direct, flowing, collided, reflected, left, stopped, entered)
+        reflected = (unit * reflected.astype(float)).astype(np.float32)
+    left, stopped = unit * sums[:STOPPED], float(unit * sums[STOPPED])
+    return Cast(direct, toward, scores.shade, collided, reflected, left, stopped, entered)
 
 
 def _softened(cast, box, softness):
     """Of a `Cast` of a point the share, (nx, ny, nz), that a lamp sends; the rest never was."""
     cast.direct *= softness
-    cast.flux *= softness
+    cast.toward *= softness
     collided, softness = cast.collided, box.of(softness)
     cast.entered -= float(np.sum(collided.power * (1 - softness), dtype=float))
     for moments in (collided.power, collided.position, collided.direction):
@@ -317,19 +380,15 @@ def _product(factor, values):
 
 
 class NumpyMarch:
-    """Rays through voxels in float64, the twin of kernels/direct.cl: see there.
+    """Rays through voxels in float64, the twin of kernels/direct.cl: see there."""
 
-    directed  whether the rays have different directions, which must be tallied then
-    """
-
-    def __init__(self, voxels, directed):
-        self.voxels, self.directed = voxels, directed
-        self.shape = voxels.depth.shape
-        self.tallies = np.zeros((_TALLIES if directed else _TALLIES - 3, voxels.depth.size))
+    def __init__(self, voxels):
+        self.voxels, self.shape = voxels, voxels.depth.shape
+        self.tallies = np.zeros((_TALLIES, voxels.depth.size))
         self.reflected = None
         if voxels.occlusion is not None:
             self.reflected = np.zeros((1, voxels.depth.size))
-        self.sums = np.zeros(_EMITTED + 1)
+        self.sums = np.zeros(STOPPED + 1)
 
     def read(self):
         """(tallies, reflected, sums), in weights: as in kernels/direct.cl, by kind and voxel.
@@ -344,15 +403,12 @@ class NumpyMarch:
 
         places, starts, faces  (n, 3), (n,) and (n,) as `enter` returns them
         directions             (n, 3) unit vectors
-        weights                (n,) from 0 to 1; with a glow, what a ray gathers in a voxel's edge
+        weights                (n,) from 0 to 1
         """
-        gathered = np.zeros_like(weights)
-        if self.voxels.glow is not None:
-            weights, gathered = gathered, weights
         weights = weights - self._stop_at_border(weights, starts, faces)
         ahead = np.stack(np.unravel_index(starts, self.shape), axis=1)
         ahead = np.where(directions < 0, ahead, np.array(self.shape) - 1 - ahead)
-        rays = (places, directions, weights, gathered, starts, ahead)
+        rays = (places, directions, weights, starts, ahead)
         while len(rays[0]):
             rays = self._cross(*rays)
 
@@ -362,18 +418,18 @@ class NumpyMarch:
             return 0.0
         stopped = np.where(faces >= 0, weights * self.voxels.occlusion.flat[starts], 0)
         back = np.where(faces >= 0, weights * self.voxels.reflecting.flat[starts], 0)
-        self.sums[:_STOPPED] += np.bincount(np.maximum(faces, 0), back, _STOPPED)
-        self.sums[_STOPPED] += (stopped - back).sum()
+        self.sums[:STOPPED] += np.bincount(np.maximum(faces, 0), back, STOPPED)
+        self.sums[STOPPED] += (stopped - back).sum()
         return stopped
 
-    def _cross(self, places, directions, weights, gathered, at, ahead):
+    def _cross(self, places, directions, weights, at, ahead):
         """Take rays through a voxel each; those that are still in the domain."""
         speed = np.maximum(np.abs(directions), _SLOWEST)
         ways = (1 - places) / speed
         axis = ways.argmin(axis=1)
         rays = np.arange(len(axis))
         way = ways[rays, axis]
-        weights = self._score(places, directions, weights, gathered, at, way)
+        weights = self._score(places, directions, weights, at, way)
 
         places = np.minimum(places + way[:, None] * speed, 1)
         places[rays, axis] = 1
@@ -382,7 +438,7 @@ class NumpyMarch:
         sign = np.where(directions < 0, -1, 1)[rays, axis]
         leaving = ahead[rays, axis] < 0
         through = 2 * axis + (sign > 0)
-        self.sums[:_STOPPED] += np.bincount(through[leaving], weights[leaving], _STOPPED)
+        self.sums[:STOPPED] += np.bincount(through[leaving], weights[leaving], STOPPED)
 
         on = ~leaving
         strides = np.array((self.shape[1] * self.shape[2], self.shape[2], 1))
@@ -392,38 +448,29 @@ class NumpyMarch:
             weights = weights.copy()
             weights[on] -= stopped
         places[rays, axis] = 0
-        return tuple(v[on] for v in (places, directions, weights, gathered, following, ahead))
+        return tuple(v[on] for v in (places, directions, weights, following, ahead))
 
-    def _score(self, places, directions, weights, gathered, at, way):
+    def _score(self, places, directions, weights, at, way):
         """Tally the rays' ways through their voxels; their weights after it."""
         edge = self.voxels.depth.flat[at]
         depth = edge * way
-        through, mean, lost, place = fade(depth)
+        through, mean, _, place = fade(depth)
         total = weights * np.where(edge > 1, 1 - through, way * mean)
         along = total * way * place
-        weights = weights * through
-        if self.voxels.glow is not None:
-            fresh = gathered * self.voxels.glow.flat[at] * way
-            own = fresh * np.where(edge > 1, 1 - mean, way * lost)
-            total = total + own
-            along = along + own * way * own_place(depth, mean, place)
-            weights = weights + fresh * mean
-            self.sums[_EMITTED] += fresh.sum()
         sign = np.where(directions < 0, -1, 1)
         position = sign * (total[:, None] * (places - 0.5)) + along[:, None] * directions
         self._add(self.tallies, _SCORE, at, total)
         for n in range(3):
             self._add(self.tallies, _POSITION.start + n, at, position[:, n])
-            if self.directed:
-                self._add(self.tallies, _DIRECTION.start + n, at, total * directions[:, n])
-        return weights
+            self._add(self.tallies, _DIRECTION.start + n, at, total * directions[:, n])
+        return weights * through
 
     def _stop(self, weights, at, following):
         """What the next voxels stop, (n,), after what they reflect is tallied."""
         stopped = weights * self.voxels.occlusion.flat[following]
         back = weights * self.voxels.reflecting.flat[following]
         self._add(self.reflected, _SCORE, at, back)
-        self.sums[_STOPPED] += (stopped - back).sum()
+        self.sums[STOPPED] += (stopped - back).sum()
         return stopped
 
     def _add(self, tallies, kind, at, scores):

@@ -97,10 +97,6 @@ class Sun:
         shown = np.abs(toward) @ face_areas(medium.domain)
         return origins, directions, np.full(count, irradiance * shown / count)
 
-    def rays(self, medium, band, per_edge):
-        """per_edge^2 rays or a few more through each lit face of a voxel on the domain's border."""
-        return _beams(medium.domain, *self.suns(medium, band, per_edge))
-
     def suns(self, medium, band, per_edge):
         """Its unit direction, (1, 3); its irradiance, (1,) W/m^2; per_edge."""
         toward = np.divide([self.direction], np.linalg.norm(self.direction))
@@ -165,10 +161,6 @@ class Sky:
         inwards[:, 0] *= 1 - 2 * upper
         power = np.pi * radiance * 2 * areas.sum() / count
         return origins, _turned(inwards, axis), np.full(count, power)
-
-    def rays(self, medium, band, per_edge):
-        """Those of its `suns`."""
-        return _beams(medium.domain, *self.suns(medium, band, per_edge))
 
     def suns(self, medium, band, per_edge):
         """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter.
@@ -529,10 +521,10 @@ class Emission:
         power = np.full(count, edges[-1] * h**3 / count)
         return medium.domain.origin + (corner + within) * h, _tilted(2 * tilt, turn), power
 
-    def rays(self, medium, band, per_edge):
-        """Rays that cross the whole medium. They carry nothing yet: instead of a power they have
-        what they gather on a metre of their way, by W/m^3 of emission: m^2."""
-        return Sky(1 / (4 * np.pi)).rays(medium, band, per_edge)
+    def suns(self, medium, band, per_edge):
+        """Those of a sky that sends as much from everywhere as a voxel of the emission 1 W/m^3
+        does to everywhere: their strengths, (n,), add up to 1 W/m^3."""
+        return Sky(1 / (4 * np.pi)).suns(medium, band, per_edge)
 
 
 def multiple(lights, medium, band, base):
@@ -708,43 +700,6 @@ def _rays_to(domain, position, spread, per_edge):
     ends = np.array((domain.origin, domain.upper)) - position
     farthest = np.linalg.norm(np.abs(ends).max(axis=0))
     return ceil(2 * np.pi * spread * (per_edge * farthest / domain.voxel_size) ** 2)
-
-
-def _beams(domain, directions, irradiances, per_edge):
-    """Parallel light of several directions (n, 3) and irradiances (n,), as `rays` returns it.
-
-    In the face of a voxel the rays are a lattice of rank 1, whose coordinates are all different,
-    and the same in each voxel: each column of voxels gets the same light. It is shifted from
-    beam to beam, so that the errors of many beams differ.
-    """
-    lattice = rank_1(per_edge**2)
-    area = domain.voxel_size**2 / lattice.shape[1]
-    largest = float((irradiances * np.abs(directions).max(axis=1)).max()) * area
-
-    def pieces():
-        for beam, (direction, irradiance) in enumerate(zip(directions, irradiances, strict=True)):
-            within = (lattice + shift_of(beam)) % 1
-            for axis in np.flatnonzero(direction):
-                for origins in _through_face(domain, axis, direction[axis] < 0, within):
-                    power = irradiance * abs(direction[axis]) * area
-                    along = np.broadcast_to(direction, origins.shape)
-                    yield origins, along, np.full(len(origins), power)
-
-    return largest, pieces()
-
-
-def _through_face(domain, axis, upper, within):
-    """Points (n, 3) m, in pieces: those `within` (2, count) each voxel of a face of the domain."""
-    across, along = (axis + 1) % 3, (axis + 2) % 3
-    columns, count = domain.shape[along], within.shape[1]
-    rows_at_once = max(1, _RAYS_AT_ONCE // (columns * count))
-    for first in range(0, domain.shape[across], rows_at_once):
-        rows = np.arange(first, min(first + rows_at_once, domain.shape[across]))
-        points = np.empty((len(rows), columns, count, 3))
-        points[..., axis] = domain.shape[axis] if upper else 0
-        points[..., across] = rows[:, None, None] + within[0]
-        points[..., along] = np.arange(columns)[:, None] + within[1]
-        yield points.reshape(-1, 3) * domain.voxel_size + domain.origin
 
 
 def shift_of(beam):

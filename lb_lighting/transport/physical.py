@@ -195,28 +195,50 @@ def _add(field, more):
 
 @dataclass
 class _Band:
-    """The light of one band: grids, {where: W}, and how the lattice found it."""
+    """The light of one band: grids, by light those of `Field`, {where: W}, and how the lattice
+    found it."""
 
     fluence: np.ndarray
     flux: np.ndarray
     direct_flux: np.ndarray
-    by_light: np.ndarray
-    forward: np.ndarray
+    by_light: list
+    forward: list
     energy: dict
     residual: float = 0.0
     steps: int = 0
     corrections: int = 0
 
     @classmethod
-    def dark(cls, shape, lights):
-        energy = {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
-        by_light, forward = np.zeros((2, lights, *shape), np.float32)
-        fluxes = np.zeros((2, 3, *shape), np.float32)
-        return cls(np.zeros(shape), *fluxes, by_light, forward, energy)
+    def dark(cls, field, band, lights, in_place):
+        """For lights of some numbers: the field's own grids of them, and in place all others."""
+        grids = [field.fluence[band], field.flux[band], field.direct_flux[band]]
+        if not in_place:
+            grids = [np.zeros(grid.shape, np.float32) for grid in grids]
+        by_light, forward = (
+            [_of_light(grid, number, band) for number in lights]
+            for grid in (field.by_light, field.forward)
+        )
+        return cls(
+            *grids, by_light, forward, {"entered": 0.0, "absorbed": 0.0, "left": np.zeros(6)}
+        )
 
     def add_unscattered(self, number, cast):
         self.by_light[number] += cast.direct
-        self.direct_flux += cast.flux
+        for flux, toward in zip(self.direct_flux, cast.toward, strict=True):
+            flux += toward if np.ndim(toward) else float(toward) * cast.direct
+
+    def add_forward(self, number, cast, unscattered):
+        """Add what a `direct.Cast` of what goes straight on, too, has more."""
+        shade = cast.shade.of
+        direct, flux = cast.over(unscattered)
+        shade(self.fluence)[...] += direct
+        shade(self.flux)[...] += flux
+        shade(self.forward[number])[...] += direct
+
+
+def _of_light(grids, number, band):
+    """The grid of a light's band; one of its own for the medium's emission, which comes last."""
+    return grids[number, band] if number < len(grids) else np.zeros(grids.shape[2:], np.float32)
 
 
 class _Handover:
@@ -271,10 +293,13 @@ class _Work:
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
+        lit_before = set()
         for number, (band, multiples, some) in enumerate(runs):
             self.begun = begun + (1 - begun) * number / len(runs)
             self.share = (1 - begun) / len(runs)
-            lit = self._band(medium, box, [shining[n] for n in some], band, traced)
+            lit = _Band.dark(field, band, some, in_place=band not in lit_before)
+            self._band(medium, box, [shining[n] for n in some], band, traced, lit)
+            lit_before |= set(multiples)
             for other, factor in multiples.items():
                 _take(field, lit, some, other, factor)
         field.report.converged = field.report.residual <= self.settings.tolerance
@@ -317,13 +342,13 @@ class _Work:
                 cancel=self.cancel,
             )
 
-    def _band(self, medium, box, lights, band, traced):
+    def _band(self, medium, box, lights, band, traced, lit):
+        """Light a `_Band`."""
         self._tell("direct", self.begun)
-        lit = _Band.dark(medium.shape, len(lights))
         if self.settings.scattering == "single":
             with self.clock("direct"):
                 self._unscattered(medium, box, lights, band, lit)
-            return lit
+            return
         with self.clock("direct"):
             if traced is None:
                 handover = self._first_collisions(medium, box, lights, band, lit)
@@ -334,11 +359,11 @@ class _Work:
                     lit.add_unscattered(number, cast)
                     if isinstance(part, BEAMS):
                         ahead = self._cast_forward(medium, box, part, band, cast, shadowed=False)[0]
-                        lit.forward[number] += ahead.direct - cast.direct
+                        shade = ahead.shade.of
+                        shade(lit.forward[number])[...] += ahead.over(cast)[0]
         with self.clock("solve"):
             self._scatter(medium, band, handover, lit)
         self._tell("solve", self.begun + self.share)
-        return lit
 
     def _tell(self, stage, fraction):
         if self.progress is not None:
@@ -377,27 +402,22 @@ class _Work:
             if _is_uniform(part, medium, band):
                 self._take_missing(medium, part, band, unscattered, handover, lit)
             else:
-                ahead = self._take_collided(medium, part, band, unscattered, handover, lit)
-                lit.forward[number] += ahead
+                self._take_collided(medium, part, band, number, unscattered, handover, lit)
             lit.add_unscattered(number, unscattered)
         return handover
 
-    def _take_collided(self, medium, light, band, unscattered, handover, lit):
-        """Hand over the first collisions of a light; what of it is scattered straight on."""
+    def _take_collided(self, medium, light, band, number, unscattered, handover, lit):
+        """Hand over the first collisions of a light."""
         cast, share, straight = self._cast_forward(medium, handover.box, light, band, unscattered)
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
             handover.add_reflected(cast.reflected)
-        ahead = 0.0
-        if cast is not unscattered:  # the forward peak; in place, for these are large
-            ahead = np.subtract(cast.direct, unscattered.direct, out=cast.direct)
-            lit.fluence += ahead
-            lit.flux += np.subtract(cast.flux, unscattered.flux, out=cast.flux)
+        if cast is not unscattered:  # there is a forward peak
+            lit.add_forward(number, cast, unscattered)
         collided = cast.collided.power.sum(dtype=float)
         lit.energy["entered"] += cast.entered
         lit.energy["absorbed"] += cast.stopped + (1 - share) * collided
         lit.energy["left"] += cast.left
-        return ahead
 
     def _take_missing(self, medium, sky, band, unscattered, handover, lit):
         """Hand over what absorption takes from a uniform sky, as light that is missing.
@@ -483,9 +503,10 @@ class _Work:
 
 
 def _box(medium, lights):
-    """The `Box` of all that light may collide with."""
+    """The `Box` of all that light may collide with, and of all that shines."""
     shadows = [getattr(light, "shadow_density", None) for light in lights]
-    grids = (medium.density, medium.occlusion, *shadows)
+    emission = None if medium.emission is None else medium.emission.sum(axis=0)
+    grids = (medium.density, medium.occlusion, emission, *shadows)
     return Box.around([grid for grid in grids if grid is not None])
 
 
@@ -569,20 +590,26 @@ def _is_uniform(light, medium, band):
 
 
 def _take(field, lit, numbers, band, factor):
-    """Add the light of a run, times a factor, to its band of the field; numbers are its lights'."""
-    given = field.by_light.shape[0]  # behind them comes the medium's emission
+    """Take the light of a run, times a factor, into its band of the field; numbers are its lights'.
 
-    def add(grid, values):
-        grid[band] += values if factor == 1 else factor * values
+    What was lit in the field's own grids is there already.
+    """
+
+    def take(grid, values):
+        if not np.may_share_memory(grid, values):
+            grid += values if factor == 1 else factor * values
 
     for number, light, ahead in zip(numbers, lit.by_light, lit.forward, strict=True):
-        add(field.direct, light)
-        if number < given:
-            add(field.by_light[number], light)
-            add(field.forward[number], ahead)
-    add(field.direct_flux, lit.direct_flux)
-    add(field.fluence, lit.fluence)
-    add(field.flux, lit.flux)
+        take(field.direct[band], light)
+        if number < len(field.by_light):
+            take(field.by_light[number, band], light)
+            take(field.forward[number, band], ahead)
+    for grid, values in (
+        (field.direct_flux, lit.direct_flux),
+        (field.fluence, lit.fluence),
+        (field.flux, lit.flux),
+    ):
+        take(grid[band], values)
     report = field.report
     for where, power in lit.energy.items():
         report.energy.setdefault(where, np.zeros(len(field.fluence)))[band] += factor * power

@@ -34,8 +34,9 @@ def subsets(*names):
 def programs():
     """(files, defines) of what the extension builds; of photons' tallies the least and the most."""
     yield PHYSICAL
-    yield ("fade.cl", "sweep.cl"), ()
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):
+        yield ("fade.cl", "sweep.cl"), some
+    for some in subsets("OCCLUDED"):
         yield ("fade.cl", "direct.cl"), some
     shape = ("WIDTH=128", "HEIGHT=128", "DEPTH=128")
     for kernel, first, some in product(KERNELS, (0, 1), subsets("OCCLUSION")):

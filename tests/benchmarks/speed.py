@@ -17,6 +17,7 @@ problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, sc
 """
 
 import sys
+from itertools import product
 from math import prod
 from pathlib import Path
 from time import perf_counter, process_time
@@ -24,10 +25,10 @@ from time import perf_counter, process_time
 import numpy as np
 import pyopencl as cl
 
-from lb_lighting.transport import Settings, Sun, device, solve
+from lb_lighting.transport import Settings, Sky, Sun, device, solve
 from lb_lighting.transport.cells import GROUP, Cells
-from lb_lighting.transport.direct import cast
-from lb_lighting.transport.direct_opencl import OpenclSweep
+from lb_lighting.transport.crop import Box
+from lb_lighting.transport.direct import Voxels, cast
 from lb_lighting.transport.lattice import collision_matrix
 from lb_lighting.transport.levels import Level
 from lb_lighting.transport.lights import rank_1
@@ -38,7 +39,8 @@ from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
 from lb_lighting.transport.settle import _Look
 from lb_lighting.transport.solver import KERNELS
-from lb_lighting.transport.sweep import Beam
+from lb_lighting.transport.sweep import Beam, Turn
+from lb_lighting.transport.sweep_opencl import OpenclSweep
 from tests.benchmarks.kernels import cloud
 from tests.benchmarks.media import cloud as puffs
 from tests.benchmarks.media import of_depth
@@ -51,6 +53,7 @@ EMPTY = ((128, 0), (60, 17), (60, 34), (96, 8), (96, 16))
 STEPS, RUNS = {"paper": 4, "ours": 20}, 4
 SOLVES = 2  # of which the cheaper counts
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
+LIGHTS = {"sun": SUN, "even sky": Sky(1.0)}
 
 
 def steps():
@@ -155,12 +158,14 @@ def sweeps():
             continue
         for edge in EDGES:
             medium = of_depth(puffs(edge), 20, 0.99, 0.85)
-            depth = medium.depth(medium.sigma_t[0])
-            sweep = OpenclSweep(found, Beam(SUN.direction, medium.shape, rank_1(9)), depth)
+            turn = Turn(2, medium.shape, Box.all(medium.shape))
+            depth = turn.turned(medium.depth(medium.sigma_t[0]))
+            sweep = OpenclSweep(turn, Voxels(depth, None, None, None), False, found)
+            beam = Beam(np.divide(SUN.direction, np.linalg.norm(SUN.direction)), 1, turn, rank_1(9))
             yield {
                 "platform": found.platform.split(",")[0],
                 "voxels": edge,
-                "sweep": fastest(sweep.run),
+                "sweep": fastest(lambda s=sweep, b=beam: (s.run([b]), s.read())),
                 "whole": fastest(lambda m=medium, d=found: cast(m, SUN, 0, m.sigma_t[0], d, 3)),
                 "ten steps": 10 * edge**3 / our_speed(found, medium.shape) / 1e6,
             }
@@ -207,22 +212,24 @@ def solves():
 
 
 def empty():
-    for found in device.devices():
+    for found, (light, of_light) in product(device.devices(), LIGHTS.items()):
         if found.kind == "NumPy":
             continue
         full = before = None
         for edge, margin in EMPTY:
             medium = surrounded(of_depth(puffs(edge), 20, 0.99, 0.85), margin)
-            seconds, report = processor_seconds(medium, found)
+            seconds, report = processor_seconds(medium, of_light, found)
             full = full or seconds
             doubled = before is not None and before[:2] == (edge, margin / 2)
             yield {
                 "platform": found.platform.split(",")[0],
+                "light": light,
                 "cloud": edge,
                 "domain": edge + 2 * margin,
                 "filled": (edge / (edge + 2 * margin)) ** 3,
                 "steps": report.steps,
                 "corrections": report.corrections,
+                "unscattered, s": report.seconds["direct"],
                 "processor s": seconds,
                 "to the full one": seconds / full,
                 "to half the margin": seconds / before[2] if doubled else "",
@@ -235,12 +242,12 @@ def surrounded(medium, margin):
     return medium.altered(density=np.pad(medium.density, margin))
 
 
-def processor_seconds(medium, found):
+def processor_seconds(medium, light, found):
     """Of all threads, and the report of a solve."""
     taken = []
     for _ in range(SOLVES):
         start = process_time()
-        report = solve(medium, [SUN], Settings(), found).report
+        report = solve(medium, [light], Settings(), found).report
         taken.append(process_time() - start)
     return min(taken), report
 

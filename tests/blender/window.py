@@ -85,8 +85,11 @@ def take_picture(name):
     bpy.data.images.remove(bpy.data.images[path.name])
 
 
-def build(resolution=48, voxel=0.05):
-    """A cloud alone in the light of a sun, selected; its files in a folder of its own."""
+def build(resolution=48, voxel=0.05, quality="CUSTOM"):
+    """A cloud alone in the light of a sun, selected; its files in a folder of its own.
+
+    quality  all voxels, that there is time to interrupt it
+    """
     bpy.data.batch_remove(list(bpy.data.objects))
     bpy.data.batch_remove(list(bpy.data.volumes))
     folder = Path(bpy.app.tempdir, f"scene{time.monotonic_ns()}")
@@ -98,7 +101,7 @@ def build(resolution=48, voxel=0.05):
         bpy.context.view_layer.objects.active = cloud
     settings = bpy.context.scene.lb_lighting
     settings.resolution, settings.folder, settings.device = resolution, str(folder), ""
-    settings.quality = "CUSTOM"  # all voxels: there is to be time to interrupt it
+    settings.quality = quality
     running.last = ()
     return cloud, folder
 
@@ -175,6 +178,21 @@ def open_tab():
     yield REDRAW
 
 
+def as_it_comes():
+    """A bake by the quality that scenes have from the start."""
+    scene = bpy.context.scene
+    build(resolution=96, quality=scene.lb_lighting.bl_rna.properties["quality"].default)
+    yield REDRAW
+    take_picture("idle")
+    click_button(1 / 6)
+    yield from until(lambda: running.baking is not None, 10)
+    yield from until(ended)
+    yield REDRAW
+    assert not running.failed, running.last
+    assert lit()[0].data.grids.load()
+    take_picture("done")
+
+
 def by_clicks():
     """A whole bake of 128 voxels by clicks; we do not hold Blender's event loop meanwhile.
 
@@ -183,7 +201,6 @@ def by_clicks():
     """
     cloud, _folder = build(resolution=128)
     yield REDRAW
-    take_picture("idle")
     with measured("idle"):
         for _ in range(50):
             running.redraw()
@@ -202,8 +219,6 @@ def by_clicks():
     assert not running.failed, running.last
     assert cloud.hide_viewport
     assert lit()[0].data.grids.load()
-    yield REDRAW
-    take_picture("done")
 
 
 def picture_of_a_running_bake():
@@ -459,6 +474,7 @@ def held(name, *methods):
 
 SCENARIOS = [
     open_tab,
+    as_it_comes,
     by_clicks,
     picture_of_a_running_bake,
     previewed,

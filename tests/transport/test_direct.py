@@ -379,17 +379,26 @@ def test_a_cast_can_be_cancelled():
         cast(patchy(), SUN, 0, 1.0, per_edge=2, cancel=lambda: True)
 
 
+class Followed:
+    """A sun whose rays are followed one by one, from where its photons start."""
+
+    def __init__(self, sun):
+        self.spectrum, self.emit = sun.spectrum, sun.emit
+
+
+@pytest.mark.parametrize("occluded", [False, True])
 @pytest.mark.parametrize(
     "direction",
     [(0, 0, 1), (0, -1, 0), (1, 1, 1), (0.3, 0.2, -0.93), (-0.7, 0.7, 0.1), (-0.2, -0.9, 0.5)],
 )
-def test_swept_light_is_that_of_rays_followed_one_by_one(direction):
-    """As they are where anything might be opaque."""
-    medium = patchy(occluded=False)
-    watched = medium.altered(occlusion=np.zeros(medium.shape))
-    sun = Sun(direction, 2.0)
-    swept, followed = (parts(cast(m, sun, 0, 2.0, "NumPy", 12)) for m in (medium, watched))
-    for what, allowed in (("direct", 2e-3), ("flux", 2e-3), ("power", 4e-3), ("direction", 4e-3)):
+def test_swept_light_is_that_of_rays_followed_one_by_one(direction, occluded):
+    medium, sun = patchy(occluded), Sun(direction, 2.0)
+    swept = parts(cast(medium, sun, 0, 2.0, "NumPy", 30))
+    followed = parts(cast(medium, Followed(sun), 0, 2.0, "NumPy", 24))
+    assert swept.keys() == followed.keys()
+    for what in followed.keys() - {"left"}:
+        # Few rays come to what few voxels reflect, and places depend on where each is.
+        allowed = 8e-3 if what in ("reflected", "position") else 2e-3
         difference = np.linalg.norm(swept[what] - followed[what])
         assert difference <= allowed * np.linalg.norm(followed[what]), what
     assert swept["left"] == pytest.approx(followed["left"], abs=2e-3 * followed["left"].sum())
