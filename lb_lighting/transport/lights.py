@@ -13,7 +13,7 @@ where emit returns
     power       (count,) W carried by each; the expectation of their sum is the power that the
                 light sends to the domain, with that of the photons that miss it
 
-The photons of one call are spread evenly (`_strata`) and so depend on each other: a variance is
+The photons of one call are spread evenly (`strata`) and so depend on each other: a variance is
 found from several calls. emit raises LightError for fewer photons than 1, and for a light whose
 bands are not the medium's.
 
@@ -23,25 +23,46 @@ A light may have a third,
 
 which returns (the power of the strongest ray in W, an iterator of such triples as emit's): the
 same rays at every call, about per_edge^2 or more of them through each voxel that the light reaches.
+Where all that it sends comes from far away, or from everywhere, it has instead
+
+    suns(medium, band, per_edge)      the same light as parallel light from a few directions
+
+which returns (unit directions (n, 3) that it travels, irradiances (n,) W/m^2, the rays along a
+voxel's edge that each takes).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
-from math import ceil, gcd, prod
+from math import ceil, prod
 
 import numpy as np
 
 from ..errors import LightError
 from .medium import LARGEST
+from .spread import (
+    GOLDEN,
+    SKY_CELLS,
+    cell_centers,
+    cell_quarters,
+    entry_points,
+    even_directions,
+    face_areas,
+    frame_of,
+    in_cells,
+    intervals,
+    pick,
+    points_on_faces,
+    rank_1,
+    rays_to,
+    sight,
+    strata,
+    tilted,
+    turned_to,
+)
 
-SKY_CELLS = (32, 64)  # in height and around: where a sky given as a function is bright
-# Share of such a sky's photons that are spread over all of it, so that what its cells miss is lit.
+# Share of the photons of a sky that is a function which are spread over all of it, so that what its
+# cells miss is lit.
 _ANYWHERE = 0.1
-# By the axis that x is moved to: where the new x, y and z come from.
-_TURNS = np.array([(0, 1, 2), (2, 0, 1), (1, 2, 0)])
-_GOLDEN = (np.sqrt(5) - 1) / 2
-_PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of x^3 = x + 1
 _RAYS_AT_ONCE = 2**18  # that a light makes
 # Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, where the domain
 # has few voxels along its edge. Where it has more, a single one matters less, and rays are many.
@@ -90,10 +111,10 @@ class Sun:
         """Photons on the lit faces, all of the same power: exactly the irradiance times the
         area that the domain shows to the sun."""
         irradiance = by_band(self.irradiance, medium.bands)[band]
-        across, along = _strata(count, 2, rng)
+        across, along = strata(count, 2, rng)
         toward = np.divide(self.direction, np.linalg.norm(self.direction))
         directions = np.tile(toward, (count, 1))
-        origins = _enter(medium.domain, directions, across, along)
+        origins = entry_points(medium.domain, directions, across, along)
         shown = np.abs(toward) @ face_areas(medium.domain)
         return origins, directions, np.full(count, irradiance * shown / count)
 
@@ -137,7 +158,7 @@ class Sky:
         if not callable(self.radiance):
             radiance = by_band(self.radiance, bands)
             return lambda towards: np.tile(radiance, (len(towards), 1))
-        look = _over_directions(self.radiance, _cell_centers())
+        look = _over_directions(self.radiance, cell_centers())
 
         def radiances(towards):
             radiance = look(towards)
@@ -152,15 +173,15 @@ class Sky:
         if callable(self.radiance):
             return self._emit_by_brightness(count, medium, rng, band)
         radiance = by_band(self.radiance, medium.bands)[band]
-        across, along, tilt, turn = _strata(count, 4, rng)
+        across, along, tilt, turn = strata(count, 4, rng)
         areas = face_areas(medium.domain)
-        axis, rest = _pick(_edges(areas), across)
+        axis, rest = pick(intervals(areas), across)
         upper = rest >= 0.5  # half the area across an axis is the face on its lower side
-        origins = _on_faces(medium.domain, axis, upper, 2 * rest - upper, along)
-        inwards = _tilted(1 - np.sqrt(1 - tilt), turn)  # Lambert: the squared cosine is uniform
+        origins = points_on_faces(medium.domain, axis, upper, 2 * rest - upper, along)
+        inwards = tilted(1 - np.sqrt(1 - tilt), turn)  # Lambert: the squared cosine is uniform
         inwards[:, 0] *= 1 - 2 * upper
         power = np.pi * radiance * 2 * areas.sum() / count
-        return origins, _turned(inwards, axis), np.full(count, power)
+        return origins, turned_to(inwards, axis), np.full(count, power)
 
     def suns(self, medium, band, per_edge):
         """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter.
@@ -170,13 +191,13 @@ class Sky:
         """
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
-            across, turn = _strata(count, 2, np.random.default_rng(0))
+            across, turn = strata(count, 2, np.random.default_rng(0))
             # Each sun lights all voxels: what counts is their fluence, not what enters.
             towards, irradiance, fluence = self._bright(across, turn, medium, band)
             sent = irradiance.mean()
             irradiance *= fluence / sent if sent else 0  # so few suns need not add up to the sky
         else:
-            towards = _even_directions(np.arange(count), count)
+            towards = even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
         of_each = _SUN_PER_EDGE if max(medium.shape) <= FEW_VOXELS else 1
@@ -186,7 +207,7 @@ class Sky:
         """[Sky]: what comes evenly from everywhere, where there is any, and the rest, likewise."""
         if not callable(self.radiance):
             return [self]
-        cells = _cell_centers()
+        cells = cell_centers()
         radiance = _over_directions(self.radiance, cells)(cells)
         _check_energy(radiance, "radiance of the sky")
         least = radiance.min(axis=0)
@@ -196,9 +217,9 @@ class Sky:
 
     def _emit_by_brightness(self, count, medium, rng, band):
         """Directions by the power that comes from their cell of the sky, then points of entry."""
-        row, turn, across, along = _strata(count, 4, rng)
+        row, turn, across, along = strata(count, 4, rng)
         towards, irradiance, _ = self._bright(row, turn, medium, band, face_areas(medium.domain))
-        origins = _enter(medium.domain, -towards, across, along)
+        origins = entry_points(medium.domain, -towards, across, along)
         shown = np.abs(towards) @ face_areas(medium.domain)
         return origins, -towards, irradiance * shown / count
 
@@ -210,7 +231,7 @@ class Sky:
         so that what is spread evenly over both is spread evenly over the sky. The light is a
         power, W, through faces of the areas (3,) m^2, or without them a fluence, W/m^2.
         """
-        cells, points = _cell_centers(), _cell_quarters()
+        cells, points = cell_centers(), cell_quarters()
         radiance = _over_directions(self.radiance, points)
         glow = _of_band(radiance(points), medium.bands, band).reshape(len(cells), -1).mean(axis=1)
         if areas is not None:
@@ -220,11 +241,11 @@ class Sky:
         if glow.any():
             chance = _ANYWHERE * even + (1 - _ANYWHERE) * glow / glow.sum()
 
-        edges, columns = _edges(chance), SKY_CELLS[1]
-        row, height = _pick(edges[::columns], across)
+        edges, columns = intervals(chance), SKY_CELLS[1]
+        row, height = pick(edges[::columns], across)
         begin, end = edges[row * columns], edges[(row + 1) * columns]
-        cell, around = _pick(edges, (begin + turn * (end - begin)) / edges[-1])
-        towards = _in_cells(cell, height, around)
+        cell, around = pick(edges, (begin + turn * (end - begin)) / edges[-1])
+        towards = in_cells(cell, height, around)
         solid_angle = 4 * np.pi * even / chance[cell]
         irradiance = _of_band(radiance(towards), medium.bands, band) * solid_angle
         return towards, irradiance, 4 * np.pi * even * glow.sum()
@@ -252,9 +273,9 @@ class _AtPoint:
         """Photons from the point, spread evenly over directions and with power as it shines there;
         where it is outside, only into the cone around the domain's bounding sphere, and some of
         these pass the domain."""
-        tilt, turn = _strata(count, 2, rng)
+        tilt, turn = strata(count, 2, rng)
         axis, spread = self._cone(medium.domain)
-        directions = _tilted(spread * tilt, turn) @ _frame(axis)
+        directions = tilted(spread * tilt, turn) @ frame_of(axis)
         origins = np.tile(np.asarray(self.position, float), (count, 1))
         power = by_band(self.power, medium.bands)[band] * spread / 2 / count
         return origins, directions, power * self._relative(directions)
@@ -264,13 +285,13 @@ class _AtPoint:
         of a voxel in the farthest corner, but _MOST_RAYS at most."""
         domain = medium.domain
         axis, spread = self._cone(domain)
-        count = min(_rays_to(domain, self.position, spread, per_edge), _MOST_RAYS)
+        count = min(rays_to(domain, self.position, spread, per_edge), _MOST_RAYS)
         power = by_band(self.power, medium.bands)[band] * spread / 2 / count
 
         def pieces():
             for first in range(0, count, _RAYS_AT_ONCE):
                 numbers = np.arange(first, min(first + _RAYS_AT_ONCE, count))
-                directions = _even_directions(numbers, count, spread) @ _frame(axis)
+                directions = even_directions(numbers, count, spread) @ frame_of(axis)
                 origins = np.broadcast_to(np.asarray(self.position, float), directions.shape)
                 yield origins, directions, power * self._relative(directions)
 
@@ -278,7 +299,7 @@ class _AtPoint:
 
     def _cone(self, domain):
         """((3,) m its axis, 1 - the cosine of its half angle): where it shines on the domain."""
-        return _sight(self.position, domain)
+        return sight(self.position, domain)
 
     def _relative(self, directions):
         return np.ones(len(directions))
@@ -380,7 +401,7 @@ class SpotLight(_AtPoint):
 
     def _cone(self, domain):
         own = np.asarray(self.direction, float), 2 * np.sin(self.angle / 4) ** 2
-        return min(own, _sight(self.position, domain), key=lambda cone: cone[1])
+        return min(own, sight(self.position, domain), key=lambda cone: cone[1])
 
     def _relative(self, directions):
         axis = np.divide(self.direction, np.linalg.norm(self.direction))
@@ -427,9 +448,9 @@ class AreaLight:
     def emit(self, count, medium, rng, band):
         """Photons from all over it, spread evenly over directions and with power as it shines
         there; some of them pass the domain."""
-        across, along, tilt, turn = _strata(count, 4, rng)
+        across, along, tilt, turn = strata(count, 4, rng)
         axis, spread = self._cone(medium.domain)
-        directions = _tilted(spread * tilt, turn) @ _frame(axis)
+        directions = tilted(spread * tilt, turn) @ frame_of(axis)
         power = by_band(self.power, medium.bands)[band] * spread / 2 / count
         return self._points(across, along), directions, power * self._relative(directions)
 
@@ -439,15 +460,15 @@ class AreaLight:
         domain = medium.domain
         points = self._points(*rank_1(self._count(domain)))
         axis, spread = self._cone(domain)
-        wanted = _rays_to(domain, self.center, spread, per_edge) * _RAYS_OF_AREA
+        wanted = rays_to(domain, self.center, spread, per_edge) * _RAYS_OF_AREA
         count = ceil(min(wanted, _MOST_RAYS) / len(points))  # of each
         power = by_band(self.power, medium.bands)[band] * spread / 2 / (count * len(points))
-        frame = _frame(axis)
+        frame = frame_of(axis)
 
         def pieces():
             for number, point in enumerate(points):
-                turn = _GOLDEN * number / count  # so that the errors of points differ
-                directions = _even_directions(np.arange(count), count, spread, turn) @ frame
+                turn = GOLDEN * number / count  # so that the errors of points differ
+                directions = even_directions(np.arange(count), count, spread, turn) @ frame
                 origins = np.broadcast_to(point, directions.shape)
                 yield origins, directions, power * self._relative(directions)
 
@@ -476,7 +497,7 @@ class AreaLight:
         half = min(self.spread, np.pi) / 2
         reach = np.linalg.norm(np.abs(self.u) + np.abs(self.v)) / 2
         own = np.cross(self.u, self.v), 2 * np.sin(half / 2) ** 2
-        return min(own, _sight(self.center, domain, reach), key=lambda cone: cone[1])
+        return min(own, sight(self.center, domain, reach), key=lambda cone: cone[1])
 
     def _relative(self, directions):
         """(n,): how strong it is in directions, over a point that shines the same everywhere."""
@@ -511,15 +532,15 @@ class Emission:
     def emit(self, count, medium, rng, band):
         """Photons from the voxels in proportion to their emission, all of the same power."""
         if band not in self._edges:
-            self._edges[band] = _edges(self.spectrum[band].ravel())
+            self._edges[band] = intervals(self.spectrum[band].ravel())
         edges = self._edges[band]
-        voxel, y, z, tilt, turn = _strata(count, 5, rng)
-        voxel, x = _pick(edges, voxel)
+        voxel, y, z, tilt, turn = strata(count, 5, rng)
+        voxel, x = pick(edges, voxel)
         corner = np.stack(np.unravel_index(voxel, medium.domain.shape), axis=1)
         within = np.stack((x, y, z), axis=1)
         h = medium.domain.voxel_size
         power = np.full(count, edges[-1] * h**3 / count)
-        return medium.domain.origin + (corner + within) * h, _tilted(2 * tilt, turn), power
+        return medium.domain.origin + (corner + within) * h, tilted(2 * tilt, turn), power
 
     def suns(self, medium, band, per_edge):
         """Those of a sky that sends as much from everywhere as a voxel of the emission 1 W/m^3
@@ -584,174 +605,6 @@ def _check_direction(direction, what):
     length = np.linalg.norm(direction)
     if len(direction) != 3 or not np.isfinite(length) or length == 0:
         raise LightError(f"A {what} needs a direction of three numbers; it has {direction}.")
-
-
-def _strata(count, dimensions, rng):
-    """(dimensions, count) in [0, 1): points spread evenly, shifted as a whole at random.
-
-    The first coordinate ascends, one point in each interval of 1 / count, so that photons which
-    follow each other start close to each other. The others are the R sequence (M. Roberts, "The
-    Unreasonable Effectiveness of Quasirandom Sequences", 2018). The shift makes every mean over
-    the points unbiased, and the points of two calls independent.
-    """
-    if count < 1:
-        raise LightError(f"A light sends 1 photon or more; {count} were asked for.")
-    root = 2.0  # of x^dimensions = x + 1: the golden ratio for 2
-    for _ in range(50):
-        root = (1 + root) ** (1 / dimensions)
-    number = np.arange(count)
-    points = np.outer(root ** -np.arange(dimensions), number)
-    points += rng.random((dimensions, 1))
-    points[1:] -= np.floor(points[1:])
-    points[0] /= count
-    return np.minimum(points, np.nextafter(1, 0), out=points)
-
-
-def _edges(weights):
-    """(n + 1,) where the intervals begin and end that weights (n,) have when laid side by side."""
-    return np.concatenate(([0.0], np.cumsum(weights, dtype=float)))
-
-
-def _pick(edges, u):
-    """The interval that each u (count,) in [0, 1) falls to, and where in it, in [0, 1).
-
-    Where all are empty it is the last.
-    """
-    target = u * edges[-1]
-    picked = np.minimum(np.searchsorted(edges, target, side="right") - 1, len(edges) - 2)
-    start, width = edges[picked], edges[picked + 1] - edges[picked]
-    rest = np.divide(target - start, width, out=np.zeros_like(u), where=width > 0)
-    return picked, np.minimum(rest, np.nextafter(1, 0))
-
-
-def face_areas(domain):
-    """(3,) m^2: the area of the faces across each axis."""
-    extent = np.multiply(domain.shape, domain.voxel_size)
-    return extent.prod() / extent
-
-
-def _enter(domain, directions, across, along):
-    """(count, 3) m: where rays of `directions` enter the domain, uniform over what it shows them.
-
-    across and along are the (count,) in [0, 1) that choose the place.
-    """
-    areas = np.abs(directions) * face_areas(domain)
-    ends = np.cumsum(areas, axis=1)
-    target = across * ends[:, 2]
-    axis = (target >= ends[:, 0]).astype(int) + (target >= ends[:, 1])
-    picked = (np.arange(len(axis)), axis)
-    across = np.clip(1 - (ends[picked] - target) / areas[picked], 0, 1)
-    return _on_faces(domain, axis, directions[picked] < 0, across, along)
-
-
-def _on_faces(domain, axis, upper, across, along):
-    """(count, 3) m: points on the lower or upper face across each `axis`, by two shares of it."""
-    shares = _turned(np.stack((upper, across, along), axis=1), axis)
-    return domain.origin + shares * np.multiply(domain.shape, domain.voxel_size)
-
-
-def _turned(vectors, axis):
-    """Vectors (count, 3) with x moved to `axis` (count,), and y and z to those that follow it."""
-    return np.take_along_axis(vectors, _TURNS[axis], axis=1)
-
-
-def _tilted(drop, turn):
-    """(count, 3) unit vectors with x = 1 - drop, `turn` turns around the x axis.
-
-    Uniform over the sphere where drop is uniform in [0, 2], and turn in [0, 1].
-    """
-    radius, angle = np.sqrt(drop * (2 - drop)), 2 * np.pi * turn
-    return np.stack((1 - drop, radius * np.cos(angle), radius * np.sin(angle)), axis=1)
-
-
-def _frame(axis):
-    """(3, 3): orthogonal unit rows, the first along `axis`, whatever its length."""
-    if not axis.any():
-        return np.eye(3)
-    first = axis / np.linalg.norm(axis)
-    second = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
-    second /= np.linalg.norm(second)
-    return np.stack((first, second, np.cross(first, second)))
-
-
-def _even_directions(numbers, count, spread=2.0, turn=0.0):
-    """(n, 3) unit vectors: those `numbers` (n,) of `count` that are spread evenly over the cone
-    around the x axis whose half angle's cosine is 1 - spread, `turn` turns around it. Fibonacci's
-    lattice.
-    """
-    return _tilted(spread * (numbers + 0.5) / count, (numbers * _GOLDEN + turn) % 1)
-
-
-def _sight(position, domain, reach=0.0):
-    """((3,) m its axis, 1 - the cosine of its half angle): the cone in which the domain is seen
-    from all places up to `reach` m around the position."""
-    lower, upper = np.array((domain.origin, domain.upper))
-    axis = (lower + upper) / 2 - position
-    distance, radius = np.linalg.norm(axis), np.linalg.norm(upper - lower) / 2 + reach
-    if distance <= radius:
-        return axis, 2.0
-    sine_squared = (radius / distance) ** 2
-    return axis, sine_squared / (1 + np.sqrt(1 - sine_squared))  # keeps its digits far away
-
-
-def _rays_to(domain, position, spread, per_edge):
-    """How many rays, evenly over a cone of `_sight`, are per_edge^2 through the face of a voxel
-    in the corner of the domain that is farthest from the position."""
-    ends = np.array((domain.origin, domain.upper)) - position
-    farthest = np.linalg.norm(np.abs(ends).max(axis=0))
-    return ceil(2 * np.pi * spread * (per_edge * farthest / domain.voxel_size) ** 2)
-
-
-def shift_of(beam):
-    """(2, 1), by how much the lattice of a beam of some number is shifted."""
-    return beam * np.array(_PLASTIC)[:, None]
-
-
-def rank_1(least):
-    """(2, n): a lattice of `least` points or a few more, spread evenly over the unit square.
-
-    Coordinates, and their sums and differences, are different for all points, so that neither
-    edges nor diagonals of voxels run along its rows; that takes an n without the factors 2 and 3.
-    """
-    count = next(n for n in range(least, least + 6) if gcd(n, 6) == 1)
-    fit = (n for n in range(1, count + 1) if gcd((n - 1) * n * (n + 1), count) == 1 or count == 1)
-    factor = min(fit, key=lambda n: abs(n - count * _GOLDEN))
-    number = np.arange(count)
-    return (np.stack((number, number * factor % count)) + 0.5) / count
-
-
-def _in_cells(cell, height, around):
-    """(count, 3) unit vectors in cells of the sky, all of the same solid angle."""
-    rows, columns = SKY_CELLS
-    row, column = np.divmod(cell, columns)
-    return _tilted(2 * (row + height) / rows, (column + around) / columns)
-
-
-def cells_of(towards):
-    """(...): the numbers of the cells of the sky that unit vectors (..., 3) point to.
-
-    There are SKY_CELLS, in rows from +x to -x, all of the same solid angle; in a row they go from
-    y to z and on.
-    """
-    rows, columns = SKY_CELLS
-    x, y, z = np.moveaxis(towards, -1, 0)
-    row = np.clip((1 - x) / 2 * rows, 0, rows - 1).astype(int)
-    around = np.arctan2(z, y) / (2 * np.pi) % 1
-    return row * columns + np.minimum(around * columns, columns - 1).astype(int)
-
-
-@cache
-def _cell_centers():
-    return _in_cells(np.arange(SKY_CELLS[0] * SKY_CELLS[1]), 0.5, 0.5)
-
-
-@cache
-def _cell_quarters():
-    """(4 n, 3): the centres of the quarters of the n cells, cell by cell. What shines in a part
-    of a cell hardly ever is missed by all four."""
-    cell = np.arange(SKY_CELLS[0] * SKY_CELLS[1])[:, None]
-    height, around = np.array([(x, y) for x in (0.25, 0.75) for y in (0.25, 0.75)]).T
-    return _in_cells(*(v.ravel() for v in np.broadcast_arrays(cell, height, around)))
 
 
 def _over_directions(radiance, probe):

@@ -6,7 +6,8 @@ from math import ceil
 
 import numpy as np
 
-from .lights import SKY_CELLS, Sky, Sun, cells_of
+from .lights import Sky, Sun
+from .spread import SKY_CELLS, cells_of
 
 _MOST_SUNS = 8  # each is a light of its own, and has a grid of its own where volumes show it
 # Of all light: what a cell has at least that is a sun. About as much as one of the directions

@@ -19,9 +19,10 @@ from .coarse import coarse, put_together
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
-from .lights import BEAMS, FEW_VOXELS, Emission, Sky, by_band, face_areas, multiple
+from .lights import BEAMS, FEW_VOXELS, Emission, Sky, by_band, multiple
 from .physical_numpy import NumpyLattice, Source
 from .settle import settle
+from .spread import face_areas
 from .thick import divided, merged, wished_pieces
 
 # Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;

@@ -4,7 +4,7 @@
 Rays start at the same places above each column of voxels, layers lie across the axis that they
 follow most, and all rays of one number cross the voxels of a layer alike. So a voxel can look up
 the rays that cross it, and nothing is added to it from elsewhere. What is tallied of each is what
-`direct.NumpyMarch` tallies of a ray on its own, and `kernels/sweep.cl` does the same.
+`march.NumpyMarch` tallies of a ray on its own, and `kernels/sweep.cl` does the same.
 
 Grids are turned: axes w, u and v, of which w is the one that rays follow most.
 """

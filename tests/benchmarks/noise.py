@@ -81,7 +81,7 @@ def trace_rows(case):
 def traced(case, way, photons, seed):
     """(relative noise of the scattered light in L2, seconds of the processor) of a trace."""
     last = 1 + round(HANDOVER / (1 - float(case.medium.albedo[0] * case.medium.g[0])))
-    with patch.object(lights, "_strata", lights._strata if way.even else at_random):
+    with patch.object(lights, "strata", lights.strata if way.even else at_random):
         start = process_time()
         result = trace(case.medium, case.lights, photons, seed=seed, handover=last, **way.arguments)
         seconds = process_time() - start
@@ -90,7 +90,7 @@ def traced(case, way, photons, seed):
 
 
 def at_random(count, dimensions, rng):
-    """As `lights._strata`, but independent points. They ascend as those do, for the caches."""
+    """As `spread.strata`, but independent points. They ascend as those do, for the caches."""
     points = rng.random((dimensions, count))
     points[0].sort()
     return points

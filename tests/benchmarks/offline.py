@@ -37,7 +37,7 @@ def programs():
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):
         yield ("fade.cl", "sweep.cl"), some
     for some in subsets("OCCLUDED"):
-        yield ("fade.cl", "direct.cl"), some
+        yield ("fade.cl", "march.cl"), some
     shape = ("WIDTH=128", "HEIGHT=128", "DEPTH=128")
     for kernel, first, some in product(KERNELS, (0, 1), subsets("OCCLUSION")):
         yield (f"lattice_{kernel}.cl",), (*shape, f"FIRST={first}", *some)

@@ -31,7 +31,6 @@ from lb_lighting.transport.crop import Box
 from lb_lighting.transport.direct import Voxels, cast
 from lb_lighting.transport.lattice import collision_matrix
 from lb_lighting.transport.levels import Level
-from lb_lighting.transport.lights import rank_1
 from lb_lighting.transport.paper import boundary_inflow
 from lb_lighting.transport.paper_opencl import PaperLattice
 from lb_lighting.transport.physical import lattice_maker
@@ -39,6 +38,7 @@ from lb_lighting.transport.physical_numpy import Source
 from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
 from lb_lighting.transport.settle import _Look
 from lb_lighting.transport.solver import KERNELS
+from lb_lighting.transport.spread import rank_1
 from lb_lighting.transport.sweep import Beam, Turn
 from lb_lighting.transport.sweep_opencl import OpenclSweep
 from tests.benchmarks.kernels import cloud

@@ -9,7 +9,7 @@ import pytest
 from lb_lighting.transport import Medium, Settings, borders, solve
 from lb_lighting.transport.borders import returned
 from lb_lighting.transport.cells import LENGTHS, MEAN_LENGTH, MOVING, WEIGHTS
-from lb_lighting.transport.direct import fade
+from lb_lighting.transport.fade import fade
 from lb_lighting.transport.physical_numpy import NumpyLattice, Source
 
 UNIT = MOVING / LENGTHS[:, None]

@@ -17,6 +17,7 @@ import pytest
 from lb_lighting.errors import LightError
 from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun
 from lb_lighting.transport.lights import Emission, multiple
+from lb_lighting.transport.spread import face_areas, rank_1
 
 FALSE_ALARMS = 10_000
 SIZE = np.array((2.0, 3.0, 2.5))
@@ -614,7 +615,16 @@ def test_bands_that_are_multiples_are_known(lights, expected):
     assert found == (None if expected is None else pytest.approx(expected, rel=1e-6))
 
 
-@every_light
+LAMPS = {kind: light for kind, light in LIGHTS.items() if hasattr(light, "rays")}
+FAR = {kind: light for kind, light in LIGHTS.items() if hasattr(light, "suns")}
+
+
+def test_every_light_has_rays_or_suns():
+    assert LAMPS.keys() | FAR.keys() == LIGHTS.keys()
+    assert not LAMPS.keys() & FAR.keys()
+
+
+@pytest.mark.parametrize("light", LAMPS.values(), ids=LAMPS)
 def test_rays_are_the_same_light_every_time(light):
     strongest, pieces = light.rays(MEDIUM, 0, 12)
     rays = [np.concatenate(parts) for parts in zip(*pieces, strict=True)]
@@ -623,23 +633,31 @@ def test_rays_are_the_same_light_every_time(light):
     assert power.max() == pytest.approx(strongest, rel=1e-3)
     assert power.max() <= strongest * (1 + 1e-12)
     assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
-    if not isinstance(light, Emission):  # whose rays gather their power on their way
-        expected = emitted(light)[2].sum()
-        assert power.sum() == pytest.approx(expected, rel=5e-3)
+    assert power.sum() == pytest.approx(emitted(light)[2].sum(), rel=5e-3)
     again = [np.concatenate(parts) for parts in zip(*light.rays(MEDIUM, 0, 12)[1], strict=True)]
     for first, second in zip(rays, again, strict=True):
         assert np.array_equal(first, second)
 
 
+@pytest.mark.parametrize("light", FAR.values(), ids=FAR)
+def test_suns_are_the_same_light_every_time(light):
+    """Through the faces of the domain comes what its photons bring; of emission, what a sky brings
+    whose light adds up to 1 W/m^2."""
+    directions, strengths, _ = suns = light.suns(MEDIUM, 0, 12)
+    assert strengths.min() >= 0
+    assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
+    brought = strengths @ np.abs(directions) @ face_areas(MEDIUM.domain)
+    sky = Sky(1 / (4 * pi)) if isinstance(light, Emission) else light
+    assert brought == pytest.approx(emitted(sky)[2].sum(), rel=1e-2)
+    for first, second in zip(suns, light.suns(MEDIUM, 0, 12), strict=True):
+        assert np.array_equal(first, second)
+
+
 @pytest.mark.parametrize("per_edge", range(1, 12))
 def test_a_sun_sends_as_many_rays_into_each_column(per_edge):
-    _, pieces = Sun((0, 0, 3), 1.0).rays(MEDIUM, 0, per_edge)
-    origins, _, _ = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    columns = np.floor((origins[:, :2] - LOWER[:2]) / MEDIUM.voxel_size).astype(int)
-    found, counts = np.unique(columns, axis=0, return_counts=True)
-    assert len(found) == SHAPE[0] * SHAPE[1]
-    assert np.all(counts == counts[0])
-    assert per_edge**2 <= counts[0] <= per_edge**2 + 5
-    for axis in range(2):  # all different, and evenly spaced
-        places = np.sort((origins[: counts[0], axis] - LOWER[axis]) / MEDIUM.voxel_size % 1)
-        assert places == pytest.approx((np.arange(counts[0]) + 0.5) / counts[0])
+    """All at different places, evenly spaced along either edge."""
+    places = rank_1(per_edge**2)
+    count = places.shape[1]
+    assert per_edge**2 <= count <= per_edge**2 + 5
+    for along in places:
+        assert np.sort(along) == pytest.approx((np.arange(count) + 0.5) / count)

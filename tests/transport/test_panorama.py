@@ -8,8 +8,8 @@ import pytest
 
 from lb_lighting.transport import Medium, Sky, Sun
 from lb_lighting.transport.direct import cast
-from lb_lighting.transport.lights import SKY_CELLS, _cell_centers, cells_of
 from lb_lighting.transport.panorama import CellSky, panorama_lights
+from lb_lighting.transport.spread import SKY_CELLS, cell_centers, cells_of
 
 NORMALS = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (6, 3, 5)]
 
@@ -108,7 +108,7 @@ def test_many_bright_places_are_few_suns():
 
 
 def test_cells_are_numbered_as_they_are_drawn():
-    centers = _cell_centers()
+    centers = cell_centers()
     assert np.array_equal(cells_of(centers), np.arange(len(centers)))
     assert cells_of(np.array((1.0, 0, 0))) < SKY_CELLS[1]  # and at the poles there is one
 

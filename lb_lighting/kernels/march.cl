@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Unscattered light: rays go from voxel to voxel (Amanatides and Woo 1987) and leave what collides
-// on the way. transport/direct.py has the twin. Built with
+// Rays of lamps go from voxel to voxel (Amanatides and Woo 1987) and leave what collides on the way.
+// transport/march.py has the twin. Built behind fade.cl, with
 //   OCCLUDED    voxels stop light, and reflect some of it
 //
 // Lengths are in voxel edges, and places run along the ray: from 0 where a ray that goes this way

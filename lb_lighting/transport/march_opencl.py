@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays of unscattered light on an OpenCL device: kernels/direct.cl."""
+"""Rays of lamps on an OpenCL device: kernels/march.cl."""
 
 import numpy as np
 import pyopencl as cl
@@ -7,7 +7,7 @@ import pyopencl as cl
 from .device import context, program, queue
 
 UNIT = 2.0**30  # of a tally, in a weight of 1
-_TALLIES, _SUMS = 7, 7  # as in kernels/direct.cl
+_TALLIES, _SUMS = 7, 7  # as in kernels/march.cl
 _GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
 
@@ -20,7 +20,7 @@ class OpenclMarch:
         self.context, self.queue = context(device), queue(device)
         self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * _GROUP
         occluded = voxels.occlusion is not None
-        built = program(device, ("fade.cl", "direct.cl"), ("OCCLUDED",) if occluded else ())
+        built = program(device, ("fade.cl", "march.cl"), ("OCCLUDED",) if occluded else ())
         self.kernel = cl.Kernel(built, "march")
         grids = (voxels.depth, voxels.occlusion, voxels.reflecting)
         self.grids = [self._upload(np.zeros(1) if grid is None else grid) for grid in grids]
