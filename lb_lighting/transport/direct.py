@@ -214,12 +214,14 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
     shares = strengths / (strongest or 1.0) * np.abs(directions).max(axis=1)
     # W of a ray of weight 1; for one that gathers light the weight is that of a voxel's edge.
     unit = strongest * medium.voxel_size**2 / lattice.shape[1]
-    emission, entered = None, 0.0
+    glow, entered = None, 0.0
     if isinstance(light, Emission):
         emission = light.spectrum[band]
-        unit *= float(emission.max()) * medium.voxel_size
+        brightest = max(float(emission.max()), np.finfo(np.float32).tiny)
+        glow = box.of(emission) / brightest
+        unit *= brightest * medium.voxel_size
         entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
-    voxels = _voxels(medium, box, band, sigma_t, emission)
+    voxels = _voxels(medium, box, band, sigma_t, glow)
     scores = _Scores.dark(medium.shape, box, directions, voxels.occlusion is not None)
     longest = np.abs(directions).argmax(axis=1)
     for axis in np.unique(longest[shares > 0]):
@@ -233,7 +235,7 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
             rays, beside = sweep.run(some, cancel)
             for beam, left in zip(some, rays, strict=True):
                 count = scores.let_out(beam, left, beside)
-                entered += 0.0 if emission is not None else unit * beam.share * count
+                entered += 0.0 if glow is not None else unit * beam.share * count
         scores.add(turn, sweep.read())
         if len(directions) == 1:
             scores.shade = beams[0].shade()
@@ -256,11 +258,9 @@ def _sweep(device, turn, voxels, directed):
     return OpenclSweep(turn, voxels, directed, device)
 
 
-def _voxels(medium, box, band, sigma_t, emission=None):
-    """The `Voxels` of a box."""
-    glow = occlusion = reflecting = None
-    if emission is not None:
-        glow = box.of(emission) / max(float(emission.max()), np.finfo(np.float32).tiny)
+def _voxels(medium, box, band, sigma_t, glow=None):
+    """The `Voxels` of a box; glow is theirs."""
+    occlusion = reflecting = None
     if medium.occlusion is not None:
         occlusion = box.of(medium.occlusion)
         reflecting = occlusion * box.of(medium.occlusion_albedo[band])
