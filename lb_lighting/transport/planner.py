@@ -19,7 +19,7 @@ from .crop import Box
 from .lights import FEW_VOXELS
 from .medium import deepest
 from .physical import is_within
-from .pilot import EVENER, fly
+from .pilot import EVENER, MERGES, effort, fly
 from .solver import Settings, require_memory
 
 # The relative error (L2) of all light that each quality is to keep to.
@@ -27,7 +27,6 @@ TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}
 _SAFE = 0.85  # of the target, that what is expected must keep to
 _STOP = 0.2  # of the target, that the lattice may leave
 _NOISE = (0.3, 0.5)  # of the target, that photons may leave: the least, and the most
-_MERGES = (1, 2, 4, 8)
 _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
 _RAYS = (0.5, 1.0, 2.0, 4.0)
 # What is left of the lattice's error where photons go before it.
@@ -140,7 +139,7 @@ def _most_scattered(medium):
 
 def _candidates(base, fixed, edge, handovers):
     """`Settings` to choose from: all combinations that leave what is fixed as it is."""
-    merges = [m for m in _MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
+    merges = [m for m in MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
     usual = {"rays": _RAYS, "merge": merges, "handover": handovers}
     all_rays, merges, handovers = (
         [fixed[name]] if name in fixed else values for name, values in usual.items()
@@ -195,11 +194,12 @@ def _of_merged(settings, pilot, growth):
 
 
 def _expected_seconds(settings, pilot, medium, edge):
-    of_rays = settings.rays**2 / _rays(pilot.edge)
-    once = pilot.once * of_rays * _rays(edge)
+    once = pilot.once * effort(settings.rays) * _rays(edge) / _rays(pilot.edge)
     if settings.scattering == "single":
         return once + _FIXED / 2
-    large = edge / settings.merge
+    # What the lattice and its rays have along an edge, in the pilot, too.
+    large = edge / settings.merge * pilot.pieces.get(settings.merge, 1)
+    small = pilot.edge * pilot.pieces.get(0, 1)
     seconds = _FIXED + (once if settings.merge > 1 else 0.0)
     if settings.handover:
         photons = settings.photons or 0
@@ -207,12 +207,12 @@ def _expected_seconds(settings, pilot, medium, edge):
     if settings.handover == inf:
         # Where light goes forward rays are taken twice.
         twice = 2 if medium.g.max() > 0 else 1
-        return float(seconds + twice * pilot.once * of_rays * _rays(large))
-    seconds += pilot.rays * of_rays * _rays(large)
+        return float(seconds + twice * once / settings.merge**3)
+    seconds += pilot.rays * effort(settings.rays) * _rays(large) / _rays(small)
     if pilot.steps[0]:
         now, before = pilot.steps
         growth = min(max(np.log2(now / before), 0.0), 1.0) if before else 1.0
-        seconds += pilot.solve * (large / pilot.edge) ** (3 + growth)
+        seconds += pilot.solve * (large / small) ** (3 + growth)
     return float(seconds)
 
 

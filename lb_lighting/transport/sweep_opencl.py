@@ -34,7 +34,7 @@ class OpenclSweep:
     def _matter(self, voxels):
         """As the kernels have it: only the first kinds that there are."""
         turn, kinds = self.turn, 4 if self.occluded else 2 if self.emitting else 1
-        layers, plane = self.turn.box_shape[0], self.turn.shape[1:]
+        layers, plane = turn.box_shape[0], turn.shape[1:]
         matter = np.zeros((kinds, layers + 2, *(n + 2 for n in plane)), np.float32)
         inside = tuple(slice(a + 1, b + 1) for a, b in zip(turn.lower, turn.upper, strict=True))
         for values, grid in zip(matter, voxels.grids, strict=False):
@@ -50,8 +50,10 @@ class OpenclSweep:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         buffer = cl.Buffer(self.context, flags, hostbuf=rays)
         for number, layer in enumerate(self._layers(beams, beside, count)):
-            if cancel is not None and number % _CANCEL_EVERY == 0 and cancel():
-                raise Cancelled("Cancelled; nothing was changed.")
+            if cancel is not None and number % _CANCEL_EVERY == 0:
+                self.queue.finish()  # else all layers would be asked for before the first is done
+                if cancel():
+                    raise Cancelled("Cancelled; nothing was changed.")
             arguments, within = layer
             kernels, columns = self.kernels, turn.shape[:0:-1]
             rest = (buffer, self.tallies, np.uint64(prod(turn.shape)), self.inside, self.sums)

@@ -37,6 +37,7 @@ VIEWS = 24
 FULL = 1920 * 1080 / pictures.SIZE**2  # the pixels of a full picture, over those of ours
 FLICKER = 4  # samples of ours where pictures move
 FEW = 16  # of either half of the references of those
+MANY = 65  # of a picture that tells what each costs: fewer are lost in what the start costs
 MITSUBA = 32  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
 FORWARD = "cloud, albedo 0.99, g 0.85"
@@ -273,11 +274,11 @@ def affordable(shot, folder, seconds):
     """The samples that Cycles has time for in `seconds` of processor time, at least one."""
     shot.build(folder)
     costs = []
-    for samples in (1, 9):
+    for samples in (1, MANY):
         meter = pictures.Meter()
         pictures.picture(samples, shot.bounces[0], meter=meter)
         costs.append(meter.processor)
-    each = (costs[1] - costs[0]) / 8
+    each = (costs[1] - costs[0]) / (MANY - 1)
     return max(1, round(1 + (seconds - costs[0]) / each))
 
 
