@@ -50,14 +50,6 @@ class Box:
             return grid
         return grid[..., *map(slice, self.lower, self.upper)]
 
-    def spread(self, values):
-        """A grid of the domain, 0 outside of the box, of one of the box."""
-        if self.is_whole:
-            return values
-        grid = np.zeros(self.whole, values.dtype)
-        self.of(grid)[...] = values
-        return grid
-
 
 def _ends(grids, axis, n):
     """(first, end) along an axis; None where there is nothing."""

@@ -11,6 +11,8 @@ from functools import cache
 from math import ceil
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import DeviceError
 
 _SOURCES = Path(__file__).parent.parent / "kernels"
@@ -202,3 +204,20 @@ def program(device, sources, defines):
             f"{device.label} cannot build {', '.join(names)}; update its driver or choose another "
             f"device. The driver said: {error}"
         ) from error
+
+
+def upload(queue, values, kind=np.float32):
+    """A buffer that holds values, as numbers of a kind, for kernels to read."""
+    import pyopencl as cl
+
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(queue.context, flags, hostbuf=np.ascontiguousarray(values, kind))
+
+
+def zeros(queue, size):
+    """A buffer of `size` bytes, all zero."""
+    import pyopencl as cl
+
+    buffer = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
+    cl.enqueue_fill_buffer(queue, buffer, np.uint32(0), 0, size)
+    return buffer

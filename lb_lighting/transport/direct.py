@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unscattered light, exactly: rays of a light, marched through the voxels.
+"""Unscattered light, exactly: rays of a light, sent through the voxels.
 
 Density is constant in a voxel, so a ray of power p that has the optical depth t in one leaves
 p (1 - exp(-t)) there (Beer and Lambert), at 1/t - 1/(exp(t) - 1) of its way on average; nothing is
-drawn at random but where a light starts. What is left to chance is where rays are: see `rays` of
-each light.
+drawn at random but where a light starts. What is left to chance is where rays are: see `rays` and
+`suns` of each light.
 """
 
 from dataclasses import dataclass
@@ -70,9 +70,7 @@ class Cast:
     @property
     def flux(self):
         """(3, nx, ny, nz) W/m^2, its net flux."""
-        if self.toward.ndim > 1:
-            return self.toward
-        return self.toward.astype(np.float32).reshape(3, 1, 1, 1) * self.direct
+        return self.toward if self.toward.ndim > 1 else self._along(self.direct)
 
     def over(self, other):
         """(direct, flux) in the shade, by which it is more than another of the same light."""
@@ -80,7 +78,11 @@ class Cast:
         direct = shade(self.direct) - shade(other.direct)
         if self.toward.ndim > 1:
             return direct, shade(self.toward) - shade(other.toward)
-        return direct, self.toward.astype(np.float32).reshape(3, 1, 1, 1) * direct
+        return direct, self._along(direct)
+
+    def _along(self, direct):
+        """The flux of light that all goes one way."""
+        return self.toward.astype(np.float32).reshape(3, 1, 1, 1) * direct
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,25 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
     device, box = devices.choose(device), box or Box.all(medium.shape)
     if hasattr(light, "suns"):
         return _swept(medium, box, light, band, sigma_t, device, per_edge, cancel)
-    march = _march(device, _voxels(medium, Box.all(medium.shape), band, sigma_t))
+    return _marched(medium, box, light, band, sigma_t, device, per_edge, cancel)
+
+
+def plan(shape, occluded=True):
+    """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
+    voxels = prod(shape)
+    buffers = {"unscattered light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
+    if occluded:
+        buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
+    kinds = TALLIES + (1 if occluded else 0)
+    work = 8 * (TALLIES + 3) * voxels
+    rays = 40 * 8 * 2 * _AT_ONCE
+    return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
+
+
+def _marched(medium, box, light, band, sigma_t, device, per_edge, cancel):
+    """The `Cast` of what shines from a place: ray by ray."""
+    everywhere = Box.all(medium.shape)
+    march = _march(device, _voxels(medium, everywhere, band, sigma_t))
     strongest, pieces = _rays(light, medium, band, per_edge)
     entered = 0.0
     for origins, directions, power in _gathered(pieces) if strongest > 0 else ():
@@ -187,23 +207,10 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
     tallies, reflected, sums = march.read()
     reflected = None if reflected is None else box.of(reflected)
     position = box.of(tallies[POSITION])
-    everywhere = Box.all(medium.shape)
     scores = _Scores(tallies[SCORE], position, tallies[DIRECTION], reflected, sums, everywhere)
     found = _cast(medium, box, sigma_t, strongest, scores, entered)
     softness = light.softness(medium.domain) if hasattr(light, "softness") else None
     return found if softness is None else _softened(found, box, softness.astype(np.float32))
-
-
-def plan(shape, occluded=True):
-    """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
-    voxels = prod(shape)
-    buffers = {"unscattered light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
-    if occluded:
-        buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
-    kinds = TALLIES + (1 if occluded else 0)
-    work = 8 * (TALLIES + 3) * voxels
-    rays = 40 * 8 * 2 * _AT_ONCE
-    return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
 
 
 def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):

@@ -4,10 +4,12 @@
 import numpy as np
 import pyopencl as cl
 
-from .device import context, program, queue
+from .device import program, queue, upload, zeros
+from .march import TALLIES
+from .sweep import STOPPED
 
 UNIT = 2.0**30  # of a tally, in a weight of 1
-_TALLIES, _SUMS = 7, 7  # as in kernels/march.cl
+_SUMS = STOPPED + 1  # as in kernels/march.cl
 _GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
 
@@ -16,17 +18,16 @@ class OpenclMarch:
     """Rays through voxels on a device; `NumpyMarch` does the same."""
 
     def __init__(self, device, voxels):
-        self.shape, self.device = voxels.depth.shape, device
-        self.context, self.queue = context(device), queue(device)
+        self.shape, self.queue = voxels.depth.shape, queue(device)
         self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * _GROUP
         occluded = voxels.occlusion is not None
         built = program(device, ("fade.cl", "march.cl"), ("OCCLUDED",) if occluded else ())
         self.kernel = cl.Kernel(built, "march")
         grids = (voxels.depth, voxels.occlusion, voxels.reflecting)
-        self.grids = [self._upload(np.zeros(1) if grid is None else grid) for grid in grids]
-        self.tallies = self._zeros(8 * _TALLIES * voxels.depth.size)
-        self.reflected = self._zeros(8 * voxels.depth.size if occluded else 4)
-        self.sums = self._zeros(8 * _SUMS * self.items)
+        self.grids = [upload(self.queue, np.zeros(1) if grid is None else grid) for grid in grids]
+        self.tallies = zeros(self.queue, 8 * TALLIES * voxels.depth.size)
+        self.reflected = zeros(self.queue, 8 * voxels.depth.size if occluded else 4)
+        self.sums = zeros(self.queue, 8 * _SUMS * self.items)
 
     def march(self, places, directions, weights, starts, faces):
         """Send rays; the arguments are those of `NumpyMarch.march`."""
@@ -34,7 +35,7 @@ class OpenclMarch:
         # A ray along a border stays on the side where it starts.
         np.minimum(rays[:3], np.nextafter(np.float32(1), np.float32(0)), out=rays[:3])
         heads = np.stack([starts, faces]).astype(np.int32)
-        rays_buffer, heads_buffer = self._upload(rays), self._upload(heads, np.int32)
+        rays_buffer, heads_buffer = upload(self.queue, rays), upload(self.queue, heads, np.int32)
         self.kernel(
             *(self.queue, (self.items,), (_GROUP,), *map(np.int32, self.shape), *self.grids),
             *(rays_buffer, heads_buffer, np.int32(len(weights))),
@@ -48,7 +49,7 @@ class OpenclMarch:
         reflected = None
         if self.reflected.size > 4:
             reflected = self._weights(self.reflected, 1)[0]
-        return self._weights(self.tallies, _TALLIES), reflected, sums
+        return self._weights(self.tallies, TALLIES), reflected, sums
 
     def _weights(self, tally, kinds):
         """(kinds, nx, ny, nz) float32 of the two words of each tally."""
@@ -63,12 +64,3 @@ class OpenclMarch:
         values = np.empty(buffer.size // np.dtype(kind).itemsize, kind)
         cl.enqueue_copy(self.queue, values, buffer)
         return values
-
-    def _upload(self, values, kind=np.float32):
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, kind))
-
-    def _zeros(self, size):
-        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
-        cl.enqueue_fill_buffer(self.queue, buffer, np.uint32(0), 0, size)
-        return buffer

@@ -8,7 +8,7 @@ import pyopencl as cl
 
 from .borders import REFLECTED, mirrors
 from .cells import GROUP, MEAN_LENGTH, OPPOSITE, SECOND_MOMENT, WEIGHTS, Cells
-from .device import context, program, queue
+from .device import context, program, queue, upload
 from .levels import shapes
 from .physical_numpy import CROWDED
 
@@ -45,7 +45,7 @@ class OpenCLLattice:
         cells = self.cells
         outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells, edge)
         depths = np.where(cells.is_inside(), cells.flat(depth), -1 - outside / REFLECTED)
-        self.depths = self._upload(depths)
+        self.depths = upload(self.queue, depths)
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
         grid = (cells.plane, cells.row, _stride(cells), cells.first)
         self.grid = [np.uint64(n) for n in grid]
@@ -63,7 +63,7 @@ class OpenCLLattice:
         if not len(at):
             return 0, ()
         arrays = (at.astype(np.int32), faces.astype(np.int32), shares.astype(np.float32))
-        return len(at), [self._upload(array, array.dtype) for array in arrays]
+        return len(at), [upload(self.queue, array, array.dtype) for array in arrays]
 
     @staticmethod
     def buffers(shape, occluded):
@@ -83,7 +83,7 @@ class OpenCLLattice:
     def start(self, source):
         """Dark, with a `Source`."""
         given = np.concatenate([source.power[None], source.drift]).astype(np.float32)
-        self.source = [self._upload(self.cells.flat(given)), np.uint64(self.cells.count)]
+        self.source = [upload(self.queue, self.cells.flat(given)), np.uint64(self.cells.count)]
         self.kind = "step"
         self._start_dark(source.reflected)
 
@@ -192,10 +192,6 @@ class OpenCLLattice:
         cl.enqueue_copy(self.queue, values, buffer)
         return values
 
-    def _upload(self, values, kind=np.float32):
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, kind))
-
     def _buffer(self, floats):
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, 4 * floats)
 
@@ -209,11 +205,11 @@ class _Occluders:
         near = sum(np.roll(opaque > 0, step) for step in (0, *cells.steps)) > 0
         self.at = np.flatnonzero(near & cells.is_inside()).astype(np.int32)
         albedo = cells.flat(np.broadcast_to(albedo, cells.shape).astype(np.float32))
-        grids = [lattice._upload(values) for values in (opaque, albedo)]
-        self.arguments = [lattice.depths, *grids, lattice._upload(self.at, np.int32)]
+        grids = [upload(lattice.queue, values) for values in (opaque, albedo)]
+        self.arguments = [lattice.depths, *grids, upload(lattice.queue, self.at, np.int32)]
         self.reflected = lattice._buffer(cells.count)
-        self.densities = lattice._upload(np.zeros(cells.count))
-        self.absorbed = lattice._upload(np.zeros(max(1, len(self.at))))
+        self.densities = upload(lattice.queue, np.zeros(cells.count))
+        self.absorbed = upload(lattice.queue, np.zeros(max(1, len(self.at))))
 
     def start(self, reflected):
         """reflected is that of a `Source`."""

@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 
 from ..errors import Cancelled
-from .device import context, program, queue
+from .device import program, queue, upload, zeros
 from .sweep import STOPPED, Tallies
 
 _CANCEL_EVERY = 16  # layers
@@ -18,7 +18,7 @@ class OpenclSweep:
 
     def __init__(self, turn, voxels, directed, device):
         self.turn, self.directed = turn, directed
-        self.context, self.queue = context(device), queue(device)
+        self.queue = queue(device)
         self.occluded, self.emitting = voxels.occlusion is not None, voxels.glow is not None
         defines = {"DIRECTED": directed, "OCCLUDED": self.occluded, "EMITTING": self.emitting}
         built = program(
@@ -26,10 +26,11 @@ class OpenclSweep:
         )
         self.kernels = {name: cl.Kernel(built, name) for name in ("tally", "pass")}
         matter = self._matter(voxels)
-        self.matter, self.bordered = self._upload(matter), np.uint64(matter[0].size)
-        self.tallies = self._zeros((4 if directed else 1) * prod(turn.shape))
-        self.inside = self._zeros((4 if self.occluded else 3) * prod(turn.box_shape))
-        self.sums = self._zeros((STOPPED + 1) * prod(turn.shape[1:]) if self.occluded else 1)
+        self.matter, self.bordered = upload(self.queue, matter), np.uint64(matter[0].size)
+        self.tallies = zeros(self.queue, 4 * (4 if directed else 1) * prod(turn.shape))
+        self.inside = zeros(self.queue, 4 * (4 if self.occluded else 3) * prod(turn.box_shape))
+        sums = (STOPPED + 1) * prod(turn.shape[1:]) if self.occluded else 1
+        self.sums = zeros(self.queue, 4 * sums)
 
     def _matter(self, voxels):
         """As the kernels have it: only the first kinds that there are."""
@@ -48,7 +49,7 @@ class OpenclSweep:
         shape = (len(beams), count, turn.shape[1] + beside, turn.shape[2] + beside)
         rays = np.zeros(shape, np.float32) if self.emitting else np.ones(shape, np.float32)
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        buffer = cl.Buffer(self.context, flags, hostbuf=rays)
+        buffer = cl.Buffer(self.queue.context, flags, hostbuf=rays)
         for number, layer in enumerate(self._layers(beams, beside, count)):
             if cancel is not None and number % _CANCEL_EVERY == 0:
                 self.queue.finish()  # else all layers would be asked for before the first is done
@@ -72,7 +73,7 @@ class OpenclSweep:
         facts = [
             (b.share, b.du, b.dv, b.dw, *b.backward[1:], self._unmet(b), backward) for b in beams
         ]
-        facts = self._upload(np.array(facts, np.float32))
+        facts = upload(self.queue, np.array(facts, np.float32))
         ways = np.stack([beam.ways() for beam in beams], axis=1).astype(np.float32)
         numbers = range(turn.shape[0])
         windows = np.array([[beam.shaded(n) for beam in beams] for n in numbers], np.int32)
@@ -84,7 +85,10 @@ class OpenclSweep:
             facts_of = (at, here, layers, int(number == 0), following - here, 0, 0, 0)
             layer = cl.cltypes.make_int8(*facts_of)
             named = (sizes, layer, np.int32(len(beams)), self.bordered)
-            crossing = (self._upload(ways[number]), self._upload(windows[number]))
+            crossing = (
+                upload(self.queue, ways[number]),
+                upload(self.queue, windows[number], np.int32),
+            )
             yield (*named, self.matter, facts, *crossing), 0 < here <= layers
 
     def _unmet(self, beam):
@@ -106,12 +110,3 @@ class OpenclSweep:
         values = np.empty(buffer.size // 4, np.float32)
         cl.enqueue_copy(self.queue, values, buffer)
         return values.reshape(shape)
-
-    def _upload(self, values):
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
-
-    def _zeros(self, floats):
-        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, 4 * floats)
-        cl.enqueue_fill_buffer(self.queue, buffer, np.float32(0), 0, buffer.size)
-        return buffer
