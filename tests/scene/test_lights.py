@@ -17,9 +17,9 @@ from lb_lighting.transport.lights import (
     Sky,
     SpotLight,
     Sun,
-    _even_directions,
     bands_of,
 )
+from lb_lighting.transport.spread import even_directions
 
 
 def add_sun(collection=None, rotation=(0, 0, 0), **settings):
@@ -90,7 +90,7 @@ def irradiance(found, normal):
         if isinstance(light, Sun):
             total += np.multiply(light.irradiance, max(0, -np.dot(light.direction, normal)))
         else:
-            towards = _even_directions(np.arange(100_000), 100_000)
+            towards = even_directions(np.arange(100_000), 100_000)
             weights = 4 * pi * np.maximum(towards @ normal, 0) / len(towards)
             radiance = light.towards(towards)
             if np.ndim(radiance) < 2 and callable(light.radiance):
