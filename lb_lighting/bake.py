@@ -32,6 +32,9 @@ __all__ = [
 ]  # fmt: skip
 
 
+GATHERED = "Pictures: what it scatters forwards was gathered along many directions, {:.1f} s."
+
+
 @dataclass
 class Outcome:
     """What a bake made: what it came to, the file, and what to tell the user."""
@@ -61,6 +64,7 @@ class Outcome:
             f"{sum(seconds.values()):.1f} s on {report.device}",
             f"{report.steps} steps, {report.corrections} corrections, "
             f"settled to {report.residual:.1%}",
+            *([GATHERED.format(seconds["gather"])] if "gather" in seconds else []),
             *(self.plan.reasons if self.plan else []),
         ]
 
@@ -375,7 +379,7 @@ def _show_volume(context, objects, task, lit, frames):
     mode, optics = task.options.mode, lit.optics
     coefficients = optics.sigma_s, optics.sigma_a, optics.g
     core = lit.domain.voxel_size
-    shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength)
+    shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength, lit.lobes)
     volumes = any(source.is_volume for source in task.sources)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes

@@ -38,6 +38,7 @@ _HELP = {
     "photons": "how many are traced, 0 for 64 a voxel, for CUSTOM",
     "tolerance": "relative error that the lattice's steps leave, for CUSTOM",
     "handover": "transport optical depths that photons go before the lattice, for CUSTOM",
+    "gather": "follow what volumes scatter forwards along rays of many directions at last",
     "mode": "REPLACE or ADD",
     "foliage": "ATTRIBUTE, written on the mesh, or MODIFIER, which reads the baked volume",
     "strength": "factor on the light in the render",

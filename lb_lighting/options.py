@@ -14,7 +14,7 @@ from .transport.solver import MODELS, Settings
 QUALITIES = (*TARGETS, CUSTOM)
 MODES = ("REPLACE", "ADD")
 SHOWN = {"strength", "device", "folder"}
-FORMAT = 2  # raised where grids come to mean something else, so that old frames are not kept
+FORMAT = 3  # raised where grids come to mean something else, so that old frames are not kept
 FOLIAGE = ("ATTRIBUTE", "MODIFIER")  # how it gets its light
 
 
@@ -39,6 +39,7 @@ class Options:
     handover: float = 0.0  # transport optical depths that photons are traced for
     photons: int = 0  # to trace, or 0 for as many as the voxels take
     tolerance: float = 2**-7  # relative error that the lattice's steps leave; as float32 has it
+    gather: bool = True  # what media scatter that do so forwards, see transport/gather.py
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
     foliage: str = "ATTRIBUTE"  # how it gets its light: "ATTRIBUTE", or "MODIFIER" that reads it
     strength: float = 1.0  # factor on the light in the render

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import openvdb
 import pytest
 
 from lb_lighting import bake
@@ -144,6 +145,40 @@ class TestVolume:
         assert point.max() == pytest.approx(10 * 5**2, rel=0.02)  # W/sr times 4 pi: none is lost
         nodes = baked().active_material.node_tree.nodes
         assert {node.label for node in nodes if node.label} == BEAMS
+
+    def test_what_scatters_forwards_is_gathered(self, scene, tmp_path):
+        ob = scenery.add_fog(tmp_path)
+        inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
+        inputs["Anisotropy"].default_value = 0.85
+        outcome, stages = bake_light(ob), []
+        assert any("was gathered" in line for line in outcome.facts)
+        moments = {f"lb_moment_{n}" for n in range(1, 9)}
+        names = {grid.name for grid in openvdb.readAllGridMetadata(str(outcome.path))}
+        assert names == {"density", "lb_light", "lb_direct_1", "lb_forward_1", *moments}
+        nodes = baked().active_material.node_tree.nodes
+        labels = {node.label for node in nodes if node.label}
+        assert labels == {"LB Moments", "lb_direct_1", "lb_forward_1"}
+
+        def progress(stage, fraction):
+            stages.append((fraction, stage))
+
+        left = bake_light(ob, gather=False)
+        names = {grid.name for grid in openvdb.readAllGridMetadata(str(left.path))}
+        assert not names & moments
+        assert not any("was gathered" in line for line in left.facts)
+        bake_light(ob, quality="preview", progress=progress)
+        assert stages == sorted(stages, key=lambda told: told[0])
+        assert "Gathering" in {stage for _, stage in stages}
+
+    @pytest.mark.parametrize(
+        "changes",
+        [{"anisotropy": 0.5}, {"scattering": "single"}, {"mode": "ADD", "model": "paper"}],
+    )
+    def test_nothing_is_gathered_where_it_changes_little(self, scene, tmp_path, changes):
+        ob, changes = scenery.add_fog(tmp_path), dict(changes)
+        inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
+        inputs["Anisotropy"].default_value = changes.pop("anisotropy", 0.85)
+        assert "gather" not in bake_light(ob, **changes).field.report.seconds
 
     def test_of_the_paper_all_light_is_one(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path), model="paper")

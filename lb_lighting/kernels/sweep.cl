@@ -4,6 +4,7 @@
 //   DIRECTED    beams have different directions: tally these, too
 //   OCCLUDED    voxels stop light, and reflect some of it
 //   EMITTING    rays start empty and gather the light of the voxels
+//   APART       each beam gathers a light of its own, and scores by itself; where nothing is OCCLUDED
 //
 // Several beams are sent at once, all from the same side. Each voxel's column has `count` rays of
 // each beam, and in a layer those of one number all cross voxels alike: on their way through the
@@ -20,8 +21,9 @@
 //        that it starts in, where it starts there, the lengths in up to three voxels, and the order
 //        of crossings
 // windows  by beam, in a layer: where rays may have met anything, along u and v
-// matter  depth of a voxel's edge, glow from 0 to 1, shares of light that are stopped and
-//        reflected, one `bordered` behind the other: of the layers of the box, with an empty border
+// matter  depth of a voxel's edge, glow from 0 to 1 (of each beam where they are APART), shares of
+//        light that are stopped and reflected, one `bordered` behind the other: of the layers of the
+//        box, with an empty border
 
 #define NONE 0
 #define U 1
@@ -44,11 +46,18 @@ typedef struct {
     float score, u, v, w, weight;
 } Tally;
 
-static Voxel look(__global const float *matter, const ulong bordered, const ulong at)
+#ifdef APART
+#define GLOW_OF(beam) (1 + (beam))
+#else
+#define GLOW_OF(beam) 1
+#endif
+
+static Voxel look(__global const float *matter, const ulong bordered, const ulong at,
+                  const ulong glow)
 {
     Voxel found = {matter[at], 0.0f, 0.0f, 0.0f};
 #ifdef EMITTING
-    found.glow = matter[at + bordered];
+    found.glow = matter[at + glow * bordered];
 #endif
 #ifdef OCCLUDED
     found.stopping = matter[at + 2 * bordered];
@@ -105,7 +114,7 @@ static void cross(Tally *sum, float weight, const Voxel voxel, const float way, 
         __global const float *ways, __global const int *windows
 // Of a voxel in the layer, and so many voxels further along the beam
 #define LOOK(along_u, along_v)                                                             \
-    look(matter, bordered, here_at + (along_u) * next_u + (along_v) * next_v)
+    look(matter, bordered, here_at + (along_u) * next_u + (along_v) * next_v, GLOW_OF(beam))
 #define HERE(u, v)                                                                         \
     const long next_u = backward.x ? -(NV + 2) : NV + 2, next_v = backward.y ? -1 : 1;     \
     const long here_at = ((long)layer.s1 * (NU + 2) + 1 + (backward.x ? NU - 1 - (u) : (u))) \
@@ -132,7 +141,7 @@ static float crossed(__global const float *rays, __global const float *ways, con
 }
 
 // tallies    score, one `voxels` behind the other, and where DIRECTED that times the direction along
-//            w, u and v
+//            w, u and v; where APART the score of each beam, and nothing else is tallied
 // inside     of the box, one `inner` behind the other: score times the place from the voxel's
 //            centre along w, u and v; where OCCLUDED what is reflected into it
 // sums       by column, one behind the other: what is reflected out of the domain through the faces
@@ -141,6 +150,8 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
                     __global float *inside, __global float *sums)
 {
     const int column_v = (int)get_global_id(0), column_u = (int)get_global_id(1);
+    const size_t column = (size_t)column_u * NV + column_v;
+    const size_t voxel = (size_t)layer.s0 * NU * NV + column;
     float score = 0.0f, to_w = 0.0f, to_u = 0.0f, to_v = 0.0f;
     float place_w = 0.0f, place_u = 0.0f, place_v = 0.0f, reflected = 0.0f, stopped = 0.0f;
     float out_w = 0.0f, out_u = 0.0f, out_u_end = 0.0f, out_v = 0.0f, out_v_end = 0.0f;
@@ -162,7 +173,7 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
             HERE(u, v)
             const Voxel here = LOOK(0, 0);
 #ifdef OCCLUDED
-            const Voxel next = look(matter, bordered, here_at + layer.s4 * (NU + 2) * (NV + 2));
+            const Voxel next = look(matter, bordered, here_at + layer.s4 * (NU + 2) * (NV + 2), 1);
             const float kept = here.stopping - here.reflecting;
             float arrived = 0.0f, back = 0.0f, by_w = 0.0f, from_u = 0.0f, from_v = 0.0f;
 #endif
@@ -218,6 +229,9 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
             out_v_end += backward.y ? out * from_v : 0.0f;
 #endif
         }
+#ifdef APART
+        tallies[voxel + beam * voxels] = sum.score;
+#else
         score += share * sum.score;
         place_w += share * (back_w ? -sum.w : sum.w);
         place_u += share * (backward.x ? -sum.u : sum.u);
@@ -227,9 +241,9 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
         to_u += share * sum.score * (backward.x ? -du : du);
         to_v += share * sum.score * (backward.y ? -dv : dv);
 #endif
+#endif
     }
-    const size_t column = (size_t)column_u * NV + column_v;
-    const size_t voxel = (size_t)layer.s0 * NU * NV + column;
+#ifndef APART
     tallies[voxel] += score;
 #ifdef DIRECTED
     tallies[voxel + voxels] += to_w;
@@ -253,6 +267,7 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
     sums[column + 4 * columns] += out_v;
     sums[column + 5 * columns] += out_v_end;
     sums[column + 6 * columns] += stopped;
+#endif
 #endif
 }
 

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node groups `LB Volume Light`, `LB Beam`, `LB Lamp` and `LB Ambient`, made by code, once in a
-file."""
+"""The node groups `LB Volume Light`, `LB Beam`, `LB Moments`, `LB Lamp` and `LB Ambient`, made by
+code, once in a file."""
 
 import bpy
 
 from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, ambient_axis
 from .nodes import add_attribute, add_input, add_math, add_mix, add_node, add_output, add_vector
 from .ours import TAG, find_ours
-from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid
+from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid, moment_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
+MOMENTS_GROUP = "LB Moments"
 LAMP_GROUP = "LB Lamp"
-MADE, VERSION = "lb_lighting_version", 3  # of the groups, raised where one of them changes
+MADE, VERSION = "lb_lighting_version", 4  # of the groups, raised where one of them changes
 AMBIENT_GROUP = "LB Ambient"
 
 ANY = (0, 3e38)  # of what is not negative
@@ -29,7 +30,8 @@ def volume_group():
 
     The light is scattered towards the eye as if it came from all sides by the law of Henyey and
     Greenstein with the mean cosine that its net flux tells. Scattering keeps that law and
-    multiplies the mean cosines, so an LB Beam does both.
+    multiplies the mean cosines, so an LB Beam does both. Where it was gathered what light is
+    scattered to, the file has no net flux, and LB Moments stands before the beams.
     """
     return our_group(VOLUME_GROUP, _build_volume)
 
@@ -42,6 +44,11 @@ def beam_group():
     direction (X, Y, Z), and cos that of its angle to the way to the eye.
     """
     return our_group(BEAM_GROUP, _build_beam)
+
+
+def moments_group():
+    """Others + the sum of each grid `moment_grid` times its polynomial of the way to the eye."""
+    return our_group(MOMENTS_GROUP, _build_moments)
 
 
 def lamp_group():
@@ -111,7 +118,9 @@ def _build_volume(tree):
     for number, axis in enumerate(AXES):
         flux = add_attribute(tree, flux_grid(axis), -1200, -400 - 200 * number)
         tree.links.new(flux.outputs["Vector"], beam.inputs[axis])
-    scattered = add_vector(tree, "MULTIPLY", sigma_s, beam.outputs["Radiance"], -400, -200)
+    # A few moments alone may be less than nothing where light hardly goes.
+    light = add_vector(tree, "MAXIMUM", beam.outputs["Radiance"], (0, 0, 0), -400, -400)
+    scattered = add_vector(tree, "MULTIPLY", sigma_s, light, -400, -200)
     factor = add_math(tree, "MULTIPLY", glow, visible, -400, 0)
     emission = add_vector(tree, "SCALE", scattered, factor, -200, -100)
     fire = add_attribute(tree, EMISSION_GRID, -600, -600).outputs["Vector"]
@@ -162,6 +171,34 @@ def _build_beam(tree):
     scattered = add_vector(tree, "MULTIPLY", light, phase, 600, 0)
     total = add_vector(tree, "ADD", others, scattered, 800, 0)
     output = add_node(tree, "NodeGroupOutput", 1000, 0)
+    tree.links.new(total, output.inputs["Radiance"])
+
+
+def _build_moments(tree):
+    add_output(tree, "Radiance", "Vector", "Connect to Direct of LB Volume Light")
+    others = "Radiance of the beams, in W/(m2 sr)"
+    add_input(tree, "Others", "Vector", others, limits=ANY, hidden=True)
+    group = add_node(tree, "NodeGroupInput", -1000, 400)
+    # In a volume this is the way from the place to the eye.
+    incoming = add_node(tree, "ShaderNodeNewGeometry", -1200, 0).outputs["Incoming"]
+    eye = add_node(tree, "ShaderNodeSeparateXYZ", -1000, 0)
+    tree.links.new(incoming, eye.inputs[0])
+    x, y, z = eye.outputs
+
+    def times(a, b, place):
+        return add_math(tree, "MULTIPLY", a, b, -800, place)
+
+    mixed = [times(a, b, -200 * n) for n, (a, b) in enumerate(((x, y), (y, z), (z, x)))]
+    xx, yy, zz = (times(a, a, -600 - 200 * n) for n, a in enumerate((x, y, z)))
+    three = add_math(tree, "SUBTRACT", times(zz, 3.0, -1200), 1.0, -600, -1200)
+    difference = add_math(tree, "SUBTRACT", xx, yy, -600, -800)
+    total = group.outputs["Others"]
+    for number, polynomial in enumerate((x, y, z, *mixed, three, difference), 1):
+        down = -200 * number
+        grid = add_attribute(tree, moment_grid(number), -400, down).outputs["Vector"]
+        own = add_vector(tree, "SCALE", grid, polynomial, -200, down)
+        total = add_vector(tree, "ADD", total, own, 0, down)
+    output = add_node(tree, "NodeGroupOutput", 200, 0)
     tree.links.new(total, output.inputs["Radiance"])
 
 

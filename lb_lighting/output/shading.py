@@ -22,10 +22,12 @@ from .attribute import has_ambient
 from .groups import (
     AMBIENT_GROUP,
     BEAM_GROUP,
+    MOMENTS_GROUP,
     VOLUME_GROUP,
     ambient_group,
     beam_group,
     lamp_group,
+    moments_group,
     volume_group,
 )
 from .modifier import has_modifier
@@ -102,7 +104,7 @@ def show_source(ob):
     give_back(ob)
 
 
-def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength=1.0):
+def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength=1.0, lobes=None):
     """Give the baked Volume object `ob` the material that shows its light.
 
     mode              "REPLACE" or "ADD"
@@ -112,6 +114,8 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
                       and `forward_grid(1)` ...
     core              m, that of the falloff of points and spots: an edge of a voxel
     strength          factor on the light, dimensionless
+    lobes             mean cosine, scalar or (3,), of what `forward_grid`s are scattered to, where
+                      that was gathered and the file has each `moment_grid`
     """
     material = _volume_material(ob.data)
     nodes = material.node_tree.nodes
@@ -126,7 +130,9 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
     target = inputs["Direct"]
     once = _triple(g)
     # Light that has scattered before goes about the way of the beam, its mean cosine to that is g.
-    twice = tuple(v * v for v in once)
+    twice = tuple(v * v for v in once) if lobes is None else _triple(lobes)
+    if lobes is not None:
+        target = _insert_moments(material.node_tree, target)
     kinds = [(direct_grid, once), *([(forward_grid, twice)] if max(once) > 0 else [])]
     grids = [(grid(n), beam, own) for n, beam in enumerate(beams, 1) for grid, own in kinds]
     for number, (grid, beam, own) in enumerate(grids, 1):
@@ -395,6 +401,16 @@ def _insert_beam(tree, target, number, name, beam, core, g):
         for axis in AXES:
             tree.links.new(lamp.outputs[axis], node.inputs[axis])
     tree.links.new(light, node.inputs["Light"])
+    tree.links.new(node.outputs["Radiance"], target)
+    return node.inputs["Others"]
+
+
+def _insert_moments(tree, target):
+    """Add what was gathered to the socket `target`; the socket for beams."""
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.location = 0, 250
+    node.node_tree = moments_group()
+    node[TAG] = node.label = MOMENTS_GROUP
     tree.links.new(node.outputs["Radiance"], target)
     return node.inputs["Others"]
 

@@ -11,6 +11,9 @@ import numpy as np
 import openvdb
 
 from ..errors import OutputError
+from ..transport.crop import Box
+from ..transport.directions import FACTORS
+from ..transport.gather import beside_beams, of_lobes, way_of
 from ..transport.lights import BEAMS, Sun
 
 LIGHT_GRID = "lb_light"
@@ -37,49 +40,72 @@ def volume_light(field, lights, mode, g=0.0):
             falloff with a core of a voxel, of a point or spot
     beams   the Sun, PointLight or SpotLight of each lb_direct
 
+    Where it was gathered what light is scattered to, lb_light and lb_moment_1 ... are that, in
+    W/(m^2 sr), one for each of `directions.polynomials`; there is no net flux, and lb_forward_1 ...
+    are of its lobes.
     Over its source ("ADD") a volume shows scattered light alone: Cycles scatters the rest there.
     Of the paper's field all is shown as if it came evenly from all sides.
     """
     if field.by_light is None:
         return (field.fluence + field.direct) / _SPHERE, {}, []
-    of_beam = np.array([isinstance(light, BEAMS) for light in lights], bool)
-    beams = [light for light, is_beam in zip(lights, of_beam, strict=True) if is_beam]
-    fluence, flux, grids = field.fluence, field.flux, []
+    numbers = [n for n, light in enumerate(lights) if isinstance(light, BEAMS)]
+    beams, grids = [lights[n] for n in numbers], []
     if mode == "REPLACE":
-        grids.append((direct_grid, field.by_light[of_beam]))
-        # Rounding leaves less than nothing where beams are all there is.
-        fluence = fluence + np.maximum(field.direct - field.by_light[of_beam].sum(axis=0), 0)
-        flux = flux if field.direct_flux is None else flux + field.direct_flux
-    if field.forward is not None and field.forward[of_beam].any():
-        # Left in the flux, it would hide light that comes back the other way.
-        grids.append((forward_grid, np.minimum(field.forward[of_beam], field.fluence)))
-    # Light that was scattered ahead once has the mean cosine g, and counts as 1 in the lattice.
-    straight = (1 + np.reshape(g, (-1, 1, 1, 1))) / 2
-    others = {}
+        grids.append((direct_grid, field.by_light[numbers]))
+    show = _lobe_of_flux if field.scattered is None else _moments
+    light, others, ahead = show(field, numbers, beams, mode, g)
+    if ahead.any():
+        grids.append((forward_grid, ahead))
     for name, own in grids:
-        for number, (beam, light) in enumerate(zip(beams, own, strict=True), 1):
-            if name is forward_grid:
-                fluence = fluence - light
-            if name is forward_grid or field.direct_flux is not None:
-                ahead = straight * light if name is forward_grid else light
-                flux = flux - _toward(beam, field.domain) * ahead[:, None]
+        for number, (beam, values) in enumerate(zip(beams, own, strict=True), 1):
             # About a lamp light falls off too fast to be read between voxels; the rest is even.
             steep = 1 if isinstance(beam, Sun) else _falloff(beam, field.domain)
-            others[name(number)] = light / (_SPHERE * steep)
+            others[name(number)] = values / (_SPHERE * steep)
+    return light, others, beams if grids else []
+
+
+def _lobe_of_flux(field, numbers, beams, mode, g):
+    """(light, others, light that went on forwards by beam): the rest as a lobe about its flux."""
+    fluence, flux = field.fluence, field.flux
+    if mode == "REPLACE":
+        direct = field.direct - field.by_light[numbers].sum(axis=0)
+        # Rounding leaves less than nothing where beams are all there is.
+        fluence = fluence + np.maximum(direct, 0)
+        if field.direct_flux is not None:
+            flux = flux + field.direct_flux
+            for beam, own in zip(beams, field.by_light[numbers], strict=True):
+                flux = flux - way_of(beam, field.domain) * own[:, None]
+    ahead = np.zeros((0,))
+    if field.forward is not None:
+        ahead = np.minimum(field.forward[numbers], field.fluence)
+    # Light that was scattered ahead once has the mean cosine g, and counts as 1 in the lattice.
+    straight = (1 + np.reshape(g, (-1, 1, 1, 1))) / 2
+    for beam, own in zip(beams, ahead, strict=True) if ahead.any() else ():
+        fluence = fluence - own
+        # Left in the flux, it would hide light that comes back the other way.
+        flux = flux - way_of(beam, field.domain) * (straight * own)[:, None]
     fluence = np.maximum(fluence, 0)  # of several beams forward light may be more than there is
     drift = _drift(fluence, flux)
-    others |= {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
-    return fluence / _SPHERE, others, beams if grids else []
+    others = {flux_grid(axis): drift[:, number] for number, axis in enumerate(AXES)}
+    return fluence / _SPHERE, others, ahead
 
 
-def _toward(light, domain):
-    """Unit vectors (3, 1, 1, 1) or (3, nx, ny, nz): where a beam's light goes in each voxel."""
-    if isinstance(light, Sun):
-        toward = np.reshape(light.direction, (3, 1, 1, 1))
-    else:
-        toward = np.moveaxis(domain.centers() - light.position, -1, 0)
-    length = np.linalg.norm(toward, axis=0)
-    return np.divide(toward, length, out=np.zeros(toward.shape), where=length > 0)
+def _moments(field, numbers, beams, mode, g):
+    """(light, others, lobes by beam) as it was gathered."""
+    moments = field.scattered.moments
+    if mode == "REPLACE":
+        box, ways = Box.all(field.domain.shape), [way_of(beam, field.domain) for beam in beams]
+        g = np.broadcast_to(g, len(moments))
+        moments = moments + np.array(
+            [
+                of_lobes(*beside_beams(field, band, numbers, ways, box), own)
+                for band, own in enumerate(g)
+            ],
+            np.float32,
+        )
+    moments = moments * FACTORS.astype(np.float32).reshape(-1, 1, 1, 1)
+    others = {moment_grid(n): moments[:, n] for n in range(1, len(FACTORS))}
+    return moments[:, 0], others, field.scattered.lobes
 
 
 def _falloff(lamp, domain):
@@ -96,6 +122,11 @@ def _drift(fluence, flux):
 def flux_grid(axis):
     """The name of the grid of light's mean direction along the axis "X", "Y" or "Z"."""
     return f"lb_flux_{axis.lower()}"
+
+
+def moment_grid(number):
+    """The name of the grid of the light that counts for one of `directions.polynomials`, from 1."""
+    return f"lb_moment_{number}"
 
 
 def direct_grid(number):

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, replace
 
+from ..transport import gather
 from ..transport.medium import deepest
 from ..transport.planner import Plan
 from .light import Light
@@ -82,7 +83,11 @@ class Estimate:
             plan = self.light.plan(problem, options.quality)
         else:  # the target is of no importance: there is nothing to choose
             plan = self.light.plan(problem, "final", options.by_hand)
-        return plan.bytes, plan.device, plan.seconds, plan
+        seconds = plan.seconds
+        if times := self.light.gathers(problem, plan.settings):
+            device = options.device or None
+            seconds += gather.seconds(problem.medium, problem.lights, device, times)
+        return plan.bytes, plan.device, seconds, plan
 
     def _paper(self, problem):
         settings = replace(self.light.options.settings(), steps=TRIED)

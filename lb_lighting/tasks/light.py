@@ -2,6 +2,7 @@
 """Lighting a scene: its voxels are filled, it is solved, and the file written."""
 
 from dataclasses import asdict, dataclass
+from time import perf_counter
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..options import Options
 from ..output.ambient import ambient_grids
 from ..output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
 from ..scene.sources import mixture, occluders, with_shadows
+from ..transport import gather
 from ..transport.field import Report
 from ..transport.lights import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
@@ -23,6 +25,7 @@ ESSENCE = "essence"  # of the options, in the file's metadata
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
 PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
+GATHER = 0.4  # and where the solve ends, where light is gathered then
 
 
 @dataclass
@@ -49,6 +52,8 @@ class Lit:
     plan     the `Plan` that it was solved by, or None where there was none
     beams    the `Sun`, `PointLight` or `SpotLight` of each grid of unscattered light in the file
     optics   what the lit volume renders at density 1
+    lobes    (bands,) mean cosine of the lobes that light gathered has about beams; None where
+             none was gathered
     ambient  {number of the source: what `Vertices.light` returns}
     notes    sentences that the user should read
     """
@@ -58,6 +63,7 @@ class Lit:
     plan: Plan | None
     beams: list
     optics: Optics
+    lobes: np.ndarray | None
     ambient: dict
     notes: list
 
@@ -140,6 +146,7 @@ class Light:
             planned,
             beams,
             optics,
+            None if field.scattered is None else field.scattered.g,
             ambient,
             self.reader.notes,
         )
@@ -198,8 +205,20 @@ class Light:
         device, told = self.options.device or None, {"progress": progress, "residual": residual}
         return solve(medium, problem.lights, settings, device, **told)
 
+    def gathers(self, problem, settings):
+        """How many times a `Problem` that is solved by `Settings` has its light gathered."""
+        wished = self.options.gather and settings.model == "physical"
+        volumes = any(source.is_volume for source in self.sources)
+        several = settings.scattering == "multiple"
+        if not (wished and volumes and several):
+            return 0
+        if not gather.is_worthwhile(problem.medium, problem.lights):
+            return 0
+        return 1 if self.options.quality == "preview" else gather.TIMES
+
     def _solve(self, problem, settings, tell):
-        stage = "Solving"
+        stage, times = "Solving", self.gathers(problem, settings)
+        end = GATHER if times else WRITE
 
         def residual(error):
             nonlocal stage
@@ -207,7 +226,7 @@ class Light:
             stage = f"Solving (residual {error:.1%})" if known else "Solving"
 
         def progress(_stage, fraction):
-            tell(stage=stage, fraction=SOLVE + (WRITE - SOLVE) * fraction)
+            tell(stage=stage, fraction=SOLVE + (end - SOLVE) * fraction)
 
         field = self.solve(problem, settings, progress, residual)
         if not field.report.converged:
@@ -219,7 +238,20 @@ class Light:
             self.reader.notes.append(
                 "Solved with NumPy; an OpenCL driver for your processor or graphics card is faster."
             )
+        if times:
+            self._gather(problem, field, times, tell)
         return field
+
+    def _gather(self, problem, field, times, tell):
+        """Add to a `Field` what its light is scattered to."""
+
+        def progress(share):
+            tell(stage="Gathering", fraction=GATHER + (WRITE - GATHER) * share)
+
+        start, device = perf_counter(), self.options.device or None
+        medium, lights = problem.medium, problem.lights
+        field.scattered = gather.gather(medium, lights, field, device, times, progress)
+        field.report.seconds["gather"] = perf_counter() - start
 
     def _write(self, problem, field, occlusion, planned):
         """Write the .vdb; the beams that it has grids of."""

@@ -23,11 +23,11 @@ def put_together(unscattered, scattered, pieces):
     """The `Field` of a medium: unscattered light of its own voxels, scattered of merged ones."""
     shape = unscattered.domain.shape
     names = ("fluence", "flux", "variance", "forward")
-    grids = {name: _between(getattr(scattered, name), pieces, shape) for name in names}
+    grids = {name: between(getattr(scattered, name), pieces, shape) for name in names}
     return replace(unscattered, report=scattered.report, **grids)
 
 
-def _between(grid, pieces, shape):
+def between(grid, pieces, shape):
     """(..., *shape) of a grid in voxels `pieces` times as large: linear between their centres, and
     constant beyond the outermost ones. None as it is."""
     if grid is None:

@@ -18,7 +18,7 @@ from .crop import Box
 from .lights import Emission
 from .march import DIRECTION, POSITION, SCORE, TALLIES, NumpyMarch, enter
 from .spread import rank_1, shift_of
-from .sweep import STOPPED, Beam, NumpySweep, Turn
+from .sweep import STOPPED, Beam, NumpySweep, Turn, Voxels
 
 _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
 _BEAMS_AT_ONCE = 8  # whose rays are in memory
@@ -83,30 +83,6 @@ class Cast:
     def _along(self, direct):
         """The flux of light that all goes one way."""
         return self.toward.astype(np.float32).reshape(3, 1, 1, 1) * direct
-
-
-@dataclass(frozen=True)
-class Voxels:
-    """What rays meet: each (nx, ny, nz), or None.
-
-    depth       optical depth of a voxel's edge
-    glow        emission, from 0 to 1
-    occlusion   share of arriving light that is stopped
-    reflecting  share of arriving light that is reflected
-    """
-
-    depth: np.ndarray
-    glow: np.ndarray | None
-    occlusion: np.ndarray | None
-    reflecting: np.ndarray | None
-
-    @property
-    def grids(self):
-        return self.depth, self.glow, self.occlusion, self.reflecting
-
-    def of(self, part):
-        """The same of what a function makes of each grid."""
-        return Voxels(*(None if grid is None else part(grid) for grid in self.grids))
 
 
 @dataclass

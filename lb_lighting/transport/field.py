@@ -93,6 +93,30 @@ class Handed:
 
 
 @dataclass
+class Scattered:
+    """What the scattered light of all bands is scattered to again, over sigma_s; arrays float32.
+
+    moments  (bands, 9, nx, ny, nz) W/m^2, its integrals times `directions.harmonics`, without
+             the lobes
+    lobes    (beams, bands, nx, ny, nz) W/m^2, light of a lobe of Henyey and Greenstein's shape
+             about the way of each beam: as much as all together has of third moments along these
+    g        (bands,) the mean cosine of the lobes
+    """
+
+    moments: np.ndarray
+    lobes: np.ndarray
+    g: np.ndarray
+
+    @classmethod
+    def dark(cls, bands, beams, shape):
+        return cls(
+            np.zeros((bands, 9, *shape), np.float32),
+            np.zeros((beams, bands, *shape), np.float32),
+            np.zeros(bands),
+        )
+
+
+@dataclass
 class Field:
     """Light in a domain.
 
@@ -122,6 +146,7 @@ class Field:
     by_light: np.ndarray | None = None
     direct_flux: np.ndarray | None = None
     forward: np.ndarray | None = None
+    scattered: Scattered | None = None
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

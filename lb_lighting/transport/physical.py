@@ -511,7 +511,7 @@ def _box(medium, lights):
     return Box.around([grid for grid in grids if grid is not None])
 
 
-def _distinct(medium, lights):
+def distinct(medium, lights):
     """[(band to solve, {band: its multiple})]: bands that are multiples are solved once."""
     runs = []
     for band in range(medium.bands):
@@ -533,10 +533,10 @@ def _runs(medium, lights, apart):
     """
     everything = list(range(len(lights)))
     if not apart:
-        return [(band, multiples, everything) for band, multiples in _distinct(medium, lights)]
+        return [(band, multiples, everything) for band, multiples in distinct(medium, lights)]
     runs = []
     for number in everything:
-        for band, multiples in _distinct(medium, [lights[number]]):
+        for band, multiples in distinct(medium, [lights[number]]):
             for alike, others, numbers in runs:
                 if (alike, others) == (band, multiples):
                     numbers.append(number)

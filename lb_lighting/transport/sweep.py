@@ -24,6 +24,30 @@ _TURNS = ((), ((1, 0),), ((0, 1),), ((1, 0), (0, 1)), ((0, 1), (1, 0)))
 STOPPED = 6  # behind what came back through the faces -w, +w, -u, +u, -v, +v
 
 
+@dataclass(frozen=True)
+class Voxels:
+    """What rays meet: each (nx, ny, nz), or None.
+
+    depth       optical depth of a voxel's edge
+    glow        emission, from 0 to 1
+    occlusion   share of arriving light that is stopped
+    reflecting  share of arriving light that is reflected
+    """
+
+    depth: np.ndarray
+    glow: np.ndarray | None
+    occlusion: np.ndarray | None
+    reflecting: np.ndarray | None
+
+    @property
+    def grids(self):
+        return self.depth, self.glow, self.occlusion, self.reflecting
+
+    def of(self, part):
+        """The same of what a function makes of each grid."""
+        return Voxels(*(None if grid is None else part(grid) for grid in self.grids))
+
+
 class Turn:
     """A domain of `shape` voxels, (nx, ny, nz), as light that follows an axis most finds it.
 
@@ -175,7 +199,7 @@ class Tallies:
 class NumpySweep:
     """Beams through voxels in float64, the twin of kernels/sweep.cl.
 
-    voxels    `direct.Voxels` of the box of a `Turn`, turned
+    voxels    `Voxels` of the box of a `Turn`, turned
     directed  whether the beams have different directions, which must be tallied then
     """
 
@@ -229,6 +253,30 @@ class NumpySweep:
         faces = 2 * np.arange(3) + beam.backward  # that rays come in through
         self.sums[faces] += share * way.back
         self.sums[STOPPED] += share * way.stopped
+
+
+class NumpyGlow:
+    """Beams that gather a light of their own, in float64, the twin of kernels/sweep.cl.
+
+    turn   a `Turn`
+    depth  optical depth of a voxel's edge, of its box, turned
+    """
+
+    def __init__(self, turn, depth):
+        self.turn, self.depth = turn, depth
+
+    def run(self, beams, glows, cancel=None):
+        """Send beams that come from the same side through what shines: glows, one of the box for
+        each, turned, in radiance a voxel's edge.
+
+        Returns (beams, nw, nu, nv), turned: what their rays score, of a share of 1.
+        """
+        found = np.zeros((len(beams), *self.turn.shape))
+        for score, beam, glow in zip(found, beams, glows, strict=True):
+            sweep = NumpySweep(self.turn, Voxels(self.depth, glow, None, None), directed=False)
+            sweep.run([beam], cancel)
+            score[...] = sweep.score
+        return found
 
 
 class _Way:

@@ -122,6 +122,7 @@ class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
 
     def draw_settings(self, _context, column, settings):
         column.prop(settings, "mode")
+        column.prop(settings, "gather")
         column.prop(settings, "foliage")
         column.prop(settings, "strength")
         column.prop(settings, "folder", placeholder="The .blend's")

@@ -200,6 +200,13 @@ class SceneProperties(bpy.types.PropertyGroup):
         min=0,
         soft_max=8,
     )
+    gather: BoolProperty(
+        name="Gather Directions",
+        description="Where volumes scatter forwards and lamps shine on them, follow what they "
+        "scatter along rays of many directions at last: pictures are right from all sides. It "
+        "takes a few times as long as the rest",
+        default=True,
+    )
     mode: EnumProperty(name="Volumes", description="How a lit volume is rendered", items=MODES)
     foliage: EnumProperty(name="Foliage", description="How foliage gets its light", items=FOLIAGE)
     strength: FloatProperty(

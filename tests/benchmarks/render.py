@@ -41,14 +41,20 @@ MANY = 65  # of a picture that tells what each costs: fewer are lost in what the
 MITSUBA = 32  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
 FORWARD = "cloud, albedo 0.99, g 0.85"
-OTHERWISE = {}, {"handover": 4.0}, {"mode": "ADD"}
+OTHERWISE = (
+    {},
+    {"gather": False},
+    {"handover": 4.0},
+    {"handover": 4.0, "gather": False},
+    {"mode": "ADD"},
+)
 CAMERAS = {
     "on the sun's side": (-2.4, -0.9, 1.5),
     "in front": endtoend.CAMERA,
     "aside": (0.9, -2.8, 0.6),
     "against the sun": (2.4, 0.9, -1.2),
 }
-AROUND = 24  # samples of Cycles from each of them; the means are known to some 3 %
+AROUND = 24  # samples of Cycles from each of them, by two seeds; means are known to some 2 %
 DEVICE = "Cycles on the processor"
 
 
@@ -349,24 +355,28 @@ def forward():
 
 
 def around():
-    """[row]: the same cloud from other sides, by default; its mean over that of Cycles."""
+    """[row]: the mean of the same cloud from other sides, over that of Cycles."""
     shot = next(shot for shot in shots.shots() if shot.name == FORWARD)
 
     def seen_from(place, *settings):
         camera = bpy.context.scene.camera
         camera.location = place
         camera.rotation_euler = (-Vector(place)).to_track_quat("-Z", "Y").to_euler()
-        return pictures.picture(*settings).mean()
+        return pictures.picture(*settings)
 
+    rows = [{"camera": camera} for camera in CAMERAS]
     with TemporaryDirectory() as name:
         shot.build(Path(name))
-        wanted = [seen_from(place, AROUND, shot.bounces[0]) for place in CAMERAS.values()]
-        baked(shot, Path(name))
-        found = [seen_from(place, 1) for place in CAMERAS.values()]
-    return [
-        {"camera": camera, "ours / Cycles": float(ours / theirs)}
-        for camera, ours, theirs in zip(CAMERAS, found, wanted, strict=True)
-    ]
+        wanted = [
+            np.array([seen_from(place, AROUND, shot.bounces[0], seed) for seed in pictures.SEEDS])
+            for place in CAMERAS.values()
+        ]
+        for gather in (True, False):
+            baked(shot, Path(name), gather=gather)
+            told = "gathered" if gather else "not gathered"
+            for row, place, image in zip(rows, CAMERAS.values(), wanted, strict=True):
+                row[told] = float(seen_from(place, 1).mean() / image.mean())
+    return rows
 
 
 PARTS = {"flicker": flicker, "mitsuba": opinions, "forward": forward, "around": around}

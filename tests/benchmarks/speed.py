@@ -28,7 +28,7 @@ import pyopencl as cl
 from lb_lighting.transport import Settings, Sky, Sun, device, solve
 from lb_lighting.transport.cells import GROUP, Cells
 from lb_lighting.transport.crop import Box
-from lb_lighting.transport.direct import Voxels, cast
+from lb_lighting.transport.direct import cast
 from lb_lighting.transport.lattice import collision_matrix
 from lb_lighting.transport.levels import Level
 from lb_lighting.transport.paper import boundary_inflow
@@ -39,7 +39,7 @@ from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _s
 from lb_lighting.transport.settle import _Look
 from lb_lighting.transport.solver import KERNELS
 from lb_lighting.transport.spread import rank_1
-from lb_lighting.transport.sweep import Beam, Turn
+from lb_lighting.transport.sweep import Beam, Turn, Voxels
 from lb_lighting.transport.sweep_opencl import OpenclSweep
 from tests.benchmarks.kernels import cloud
 from tests.benchmarks.media import cloud as puffs

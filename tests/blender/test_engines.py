@@ -78,3 +78,42 @@ def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced):
     picture = render(tmp_path / f"{engine}_{kind}_{instanced}.exr", engine, size=16)
     expected = MEAN + sign * FLUX / (2 * np.pi)
     assert picture[8, 8, :3] == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("engine", ["BLENDER_EEVEE", "CYCLES"])
+def test_what_was_gathered_is_shown_by_the_way_to_the_eye(lb, cycles_shows_grids, tmp_path, engine):
+    """That is along -y; with the lobe of a sun that goes there, too, and with its own light."""
+    if engine == "CYCLES" and not cycles_shows_grids:
+        pytest.skip("this Blender's Cycles is built without NanoVDB: it shows no volume grids")
+    names = (
+        "transport.medium",
+        "transport.lights",
+        "output.vdb",
+        "output.volume",
+        "output.shading",
+    )
+    medium, lights, vdb, volume, shading = (part(lb, name) for name in names)
+    domain = medium.Domain((-2.0, -2.0, -2.0), 0.25, (16, 16, 16))
+    density = np.zeros(domain.shape, np.float32)
+    density[4:12, 4:12, 4:12] = 1
+    moments = np.outer(np.linspace(0.1, 0.9, 9), (1.0, 0.5, 0.2))  # of 1, x, y, z, xy, ...
+    moments[[2, 7, 8]] *= -1
+    grids = {vdb.moment_grid(n): moments[n] for n in range(1, 9)}
+    grids |= {vdb.forward_grid(1): MEAN, vdb.direct_grid(1): MEAN / 2}
+    grids = {
+        name: np.broadcast_to(values[:, None, None, None], (3, *domain.shape))
+        for name, values in grids.items()
+    }
+    light = np.broadcast_to(moments[0][:, None, None, None], (3, *domain.shape))
+    vdb.write_vdb(tmp_path / "a.vdb", domain, density, light, {}, grids)
+    ob = volume.show_volume(bpy.context, [new_object("source", None)], tmp_path / "a.vdb")
+    sun = lights.Sun((0.0, -1.0, 0.0), 1.0)
+    shading.prepare_scene(bpy.context.scene)
+    thin, g, lobes = 0.01, 0.3, 0.2
+    shading.shade_volume(ob, "REPLACE", thin, 0.0, g, [sun], 0.0, 1.0, lobes)
+    camera(target=(0, 0, 0), width=1)
+    picture = render(tmp_path / f"{engine}_moments.exr", engine, size=16)
+    # To the eye y is -1, so -y counts, 3 z^2 - 1 is -1 and so is x^2 - y^2.
+    shown = moments[0] - moments[2] - moments[7] - moments[8]
+    shown = shown + sum(own * (1 + m) / (1 - m) ** 2 for own, m in ((MEAN, lobes), (MEAN / 2, g)))
+    assert picture[8, 8, :3] == pytest.approx(shown * thin * 2, rel=0.05)

@@ -25,13 +25,12 @@ LIMIT = 0.05  # by which a picture's mean may differ
 # Light of an area counts as a lobe about its mean direction, with all that is scattered: measured
 # 3 % too dark, and 8 % where slats make it a beam.
 LIMIT_OF_AREAS = 0.1
-LIMIT_OF_LOBES = 0.1  # where light scatters forwards many times
+# Where light scatters forwards many times in voxels as thick as 2.5 free paths: measured 9 % too
+# dark with the sun on our side, and 15 % without what is gathered.
+LIMIT_FORWARDS = 0.1
 # Where a sun shines on a dense cloud that scatters forwards.
 FORWARD = {"on our side": (1, -2, 3), "behind": (-1, 6, 2)}
 DENSE = {"extinction": 20.0, "albedo": 0.98, "g": 0.85}
-TOO_DARK = pytest.mark.xfail(
-    strict=True, reason="a few lobes stand for light that scatters forwards a few times: 15 % dark"
-)
 
 
 def cloud():
@@ -177,14 +176,14 @@ def test_level_is_that_of_cycles(light, tmp_path):
     assert ratio == pytest.approx(1, abs=limit)
 
 
-@pytest.mark.parametrize("side", [pytest.param("on our side", marks=TOO_DARK), "behind"])
+@pytest.mark.parametrize("side", FORWARD)
 def test_level_of_light_scattered_forwards_is_that_of_cycles(side, tmp_path):
     """A dense cloud: light of many small angles goes on into it, and light of many scatterings
     comes back out of it."""
     look()
     add_lamp("SUN", FORWARD[side], energy=3.0)
     expected, found, _ = pictures(tmp_path, add_cloud(tmp_path, **DENSE), samples=256)
-    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_LOBES)
+    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_FORWARDS)
 
 
 def test_level_of_a_lamp_inside_is_that_of_cycles(tmp_path):

@@ -8,8 +8,16 @@ from mathutils import Euler, Vector
 
 from lb_lighting.output.attribute import read_vertices, write_ambient
 from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
-from lb_lighting.output.vdb import DENSITY_GRID, direct_grid, flux_grid, write_vdb
+from lb_lighting.output.vdb import (
+    DENSITY_GRID,
+    direct_grid,
+    flux_grid,
+    forward_grid,
+    moment_grid,
+    write_vdb,
+)
 from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
+from lb_lighting.transport.directions import polynomials
 from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights import PointLight, SpotLight, Sun
 from lb_lighting.transport.medium import Domain
@@ -165,14 +173,21 @@ def lamp(beam):
     bpy.context.scene.collection.objects.link(ob)
 
 
-def thin_box(path, beams=(), light=0.0, down=0.0):
-    """The box in the light of the beams, and evenly in `light` with that net flux downwards."""
+def thin_box(path, beams=(), light=0.0, down=0.0, others=None):
+    """The box in the light of the beams, and evenly in `light` with that net flux downwards, and
+    with others {name of a grid: (3,)}."""
     density = np.zeros(BOX.shape, np.float32)
     density[4:20, 4:20, 4:20] = 1
-    others = {direct_grid(n): unscattered(beam) for n, beam in enumerate(beams, 1)}
-    others[flux_grid("Z")] = np.broadcast_to(np.reshape(down, (-1, 1, 1, 1)), (3, *BOX.shape)) * -1
-    write_vdb(path, BOX, density, np.full((1, *BOX.shape), light), {}, others)
+    grids = {direct_grid(n): unscattered(beam) for n, beam in enumerate(beams, 1)}
+    for name, values in {flux_grid("Z"): np.negative(down), **(others or {})}.items():
+        grids[name] = even(values)
+    write_vdb(path, BOX, density, even(light), {}, grids)
     return show_volume(bpy.context, [source("box")], path)
+
+
+def even(values):
+    """(3, nx, ny, nz) of a value, or of (3,)."""
+    return np.broadcast_to(np.reshape(values, (-1, 1, 1, 1)), (3, *BOX.shape))
 
 
 def scattering_material(g):
@@ -237,6 +252,24 @@ def test_scattered_light_goes_on_the_way_that_its_flux_tells(tmp_path, mode):
         expected = 4 * np.pi * 2.0 * phase * THIN * DEPTH / np.cos(angle)
         picture = render(scene, tmp_path / "a.exr", 16, 4)
         assert middle(picture) == pytest.approx(expected, rel=0.01)
+
+
+def test_moments_are_shown_by_their_polynomials_of_the_way_to_the_eye(tmp_path):
+    """Over the lobes of beams; in a band where all is less than nothing, nothing."""
+    angle, beam = 0.3, BEAMS["sun"]
+    scene = look_from(angle)
+    prepare_scene(scene)
+    shown = np.outer(np.linspace(0.1, 0.9, 9), (1.0, 0.5, -1.0))
+    others = {moment_grid(n): shown[n] for n in range(1, 9)} | {forward_grid(1): np.full(3, 0.2)}
+    ob = thin_box(tmp_path / "a.vdb", light=shown[0], others=others)
+    shade_volume(ob, "REPLACE", THIN, 0.0, 0.85, beam, lobes=0.5)
+    eye = np.array((np.sin(angle), 0, np.cos(angle)))
+    way = np.divide(beam[0].direction, np.linalg.norm(beam[0].direction))
+    lobe = 0.2 * 4 * np.pi * henyey_greenstein(way @ eye, 0.5)
+    expected = np.maximum(polynomials(eye) @ shown + lobe, 0) * THIN * DEPTH / np.cos(angle)
+    assert expected[0] > expected[1] > expected[2] == 0
+    picture = middle(render(scene, tmp_path / "a.exr", 16, 4))
+    assert picture == pytest.approx(expected, rel=0.01, abs=1e-6)
 
 
 def test_many_beams_and_a_g_for_each_band(tmp_path):

@@ -30,7 +30,8 @@ from lb_lighting.output.volume import (
     show_volume,
     sources_of,
 )
-from lb_lighting.transport.field import Field, Report
+from lb_lighting.transport.directions import harmonics, polynomials
+from lb_lighting.transport.field import Field, Report, Scattered
 from lb_lighting.transport.lights import PointLight, Sky, Sun
 from lb_lighting.transport.medium import Domain, Medium
 from lb_lighting.transport.solver import solve
@@ -170,6 +171,26 @@ class TestVolumeLight:
         light, others, _beams = volume_light(field, self.LIGHTS, "ADD")
         assert others["lb_forward_1"] == self.radiance(1)
         assert not light.any()
+
+    @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
+    def test_light_that_was_gathered_is_shown_by_its_moments(self, mode):
+        field = self.field()
+        field.direct_flux = np.zeros_like(field.flux)
+        field.direct_flux[:, 2] = -2.1  # the sun's; the skies' light has none
+        moments = np.arange(9.0).reshape(9, 1, 1, 1) + np.ones((2, 9, *self.SHAPE[1:]))
+        lobes = 0.25 * np.ones((1, *self.SHAPE))
+        field.scattered = Scattered(moments, lobes, np.full(2, 0.6))
+        lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
+        light, others, beams = volume_light(field, lights, mode, g=0.85)
+        assert beams == [self.LIGHTS[0]]
+        assert others["lb_forward_1"] == self.radiance(0.25)
+        assert not set(FLUX) & others.keys()
+        rest = 7.2 if mode == "REPLACE" else 0
+        towards = np.array((0.6, 0.0, 0.8))
+        expected = np.arange(1.0, 10) @ harmonics(towards) + rest / (4 * np.pi)
+        shown = [light, *(others[f"lb_moment_{n}"] for n in range(1, 9))]
+        found = np.tensordot(polynomials(towards), np.array(shown), axes=1)
+        assert found == pytest.approx(np.full(self.SHAPE, expected), rel=1e-5)
 
     def test_flux_is_no_more_than_the_fluence(self):
         field = self.field()

@@ -52,6 +52,7 @@ class TestProperties:
             "photons": 1000,
             "tolerance": 0.125,
             "handover": 2.0,
+            "gather": False,
             "keep_absorbed": True,
             "device": "GPU",
             "folder": str(tmp_path),
