@@ -109,11 +109,11 @@ class Baking(Job):
 
     name, kept = "bake", "nothing was changed"
 
-    def __init__(self, context, objects, options, frames=None, settings=None):
+    def __init__(self, context, objects, options, frames=None, settings=None, times=None):
         """Read the scene and start; raises as `gather` does.
 
         frames    the `Frames` that this is one of, or None
-        settings  `Settings` that another frame was planned to have, or None
+        settings, times  of another frame, see `Light`, or None
         """
         objects = sources_of(context.scene, objects)
         _refuse_unwritable(objects, options)
@@ -121,7 +121,7 @@ class Baking(Job):
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
         path = frames.path(context.scene.frame_current) if frames else None
-        super().__init__(gather(context, objects, options, path, settings))
+        super().__init__(gather(context, objects, options, path, settings, times))
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
@@ -178,11 +178,11 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, settings=None):
+def gather(context, objects, options, path=None, settings=None, times=None):
     """The task `Light` that the scene poses at the current frame.
 
     path      of the file that it is to write, or None for one that is new
-    settings  `Settings` that another frame was planned to have, or None
+    settings, times  of another frame, see `Light`, or None
     """
     with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
@@ -227,6 +227,7 @@ def gather(context, objects, options, path=None, settings=None):
             "frame": context.scene.frame_current,
         },
         settings=settings,
+        times=times,
     )
 
 

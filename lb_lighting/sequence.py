@@ -8,7 +8,7 @@ from .bake import Baking, folder_of, sources_of
 from .errors import OutputError, SceneError
 from .output import volume
 from .output.vdb import read_metadata
-from .tasks.light import ESSENCE
+from .tasks.light import ESSENCE, GATHERED
 
 MOVING = "Lamps move; each frame has its own light, but the shader has them as in the first frame."
 
@@ -43,6 +43,7 @@ class Sequence:
             )
         self.notes = {}  # in order, each once
         self.ways = self.settings = None
+        self.times = _times(folder)
         try:
             self._start_next(context, objects)
         except BaseException:
@@ -98,6 +99,7 @@ class Sequence:
             self.notes[MOVING] = None
         if outcome.lit.plan:  # one plan for all: what differed from frame to frame would flicker
             self.settings = outcome.lit.plan.settings
+        self.times = outcome.lit.times  # one material, too
         self.missing.pop(0)
         if self.missing:
             self._start_next(context, self.baking.found())
@@ -109,7 +111,8 @@ class Sequence:
         scene, shown = context.scene, context.scene.frame_current
         scene.frame_set(self.missing[0])
         try:
-            self.baking = Baking(context, objects, self.options, self.frames, self.settings)
+            decided = self.settings, self.times
+            self.baking = Baking(context, objects, self.options, self.frames, *decided)
         finally:
             scene.frame_set(shown)
 
@@ -140,5 +143,13 @@ def _way(beam):
 
 def _is_alike(folder, options):
     """Whether the frames in `folder` were baked with the same options."""
-    stamps = map(read_metadata, Path(folder).glob("frame_*.vdb"))
-    return all(stamp.get(ESSENCE) == options.essence for stamp in stamps)
+    return all(stamp.get(ESSENCE) == options.essence for stamp in _stamps(folder))
+
+
+def _times(folder):
+    """How often the light of the frames in `folder` was gathered; None where there is none."""
+    return next((stamp[GATHERED] for stamp in _stamps(folder)), None)
+
+
+def _stamps(folder):
+    return map(read_metadata, Path(folder).glob("frame_*.vdb"))

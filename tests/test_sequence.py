@@ -157,3 +157,20 @@ def test_one_frame_again_is_no_sequence(scene, fog):
     bake_frames(fog)
     scenery.bake_light(fog)
     assert not baked().data.is_sequence
+
+
+def test_frames_of_one_material_are_gathered_alike(scene, fog):
+    """Also those whose voxels would be too thick for it alone, and those that are baked later."""
+    inputs = fog.active_material.node_tree.nodes["Principled Volume"].inputs
+    inputs["Anisotropy"].default_value, inputs["Density"].default_value = 0.85, 10.0
+
+    def gathered(**changes):
+        bake_frames(fog, quality="preview", **changes)
+        folder = baked_path(baked()).parent
+        return {name: read_metadata(folder / name)["gathered"] for name in frames()}
+
+    first, last = (f"frame_{n:04}.vdb" for n in (1, 3))
+    assert gathered(first=3, last=3) == {last: 0}
+    assert gathered(first=1, last=1, overwrite=True) == {first: 1}
+    assert gathered(first=3, last=3) == {first: 1, last: 1}
+    assert set(gathered(overwrite=True).values()) == {1}

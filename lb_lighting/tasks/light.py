@@ -21,7 +21,8 @@ from ..transport.solver import Settings, require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
-ESSENCE = "essence"  # of the options, in the file's metadata
+# In the file's metadata: of the options; and how often its light was gathered.
+ESSENCE, GATHERED = "essence", "gathered"
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
 PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
@@ -54,6 +55,7 @@ class Lit:
     optics   what the lit volume renders at density 1
     lobes    (bands,) mean cosine of the lobes that light gathered has about beams; None where
              none was gathered
+    times    that it was, or 0
     ambient  {number of the source: what `Vertices.light` returns}
     notes    sentences that the user should read
     """
@@ -64,6 +66,7 @@ class Lit:
     beams: list
     optics: Optics
     lobes: np.ndarray | None
+    times: int
     ambient: dict
     notes: list
 
@@ -82,6 +85,7 @@ class Light:
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     settings  `Settings` that another frame was planned to have, or None
+    times     that the light of another frame was gathered, or None
     """
 
     options: Options
@@ -94,6 +98,7 @@ class Light:
     path: str
     facts: dict
     settings: Settings | None = None
+    times: int | None = None
 
     @property
     def scraps(self):
@@ -147,6 +152,7 @@ class Light:
             beams,
             optics,
             None if field.scattered is None else field.scattered.g,
+            _times(field),
             ambient,
             self.reader.notes,
         )
@@ -207,6 +213,8 @@ class Light:
 
     def gathers(self, problem, settings):
         """How many times a `Problem` that is solved by `Settings` has its light gathered."""
+        if self.times is not None:  # frames share a material
+            return self.times
         wished = self.options.gather and settings.model == "physical"
         volumes = any(source.is_volume for source in self.sources)
         several = settings.scattering == "multiple"
@@ -260,7 +268,7 @@ class Light:
         )
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
-        stamp = self._stamp(problem.medium, field.report)
+        stamp = self._stamp(problem.medium, field.report) | {GATHERED: _times(field)}
         if planned is not None:
             stamp["expected_error"] = planned.error
         read = ambient_grids(field, occlusion) if self.readers else None
@@ -276,6 +284,11 @@ class Light:
         }
         spent = {"seconds": sum(report.seconds.values()), ESSENCE: self.options.essence}
         return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
+
+
+def _times(field):
+    """How often the light of a `Field` was gathered."""
+    return 0 if field.scattered is None else field.scattered.times
 
 
 def _bands(optics, lights, albedo, emission):

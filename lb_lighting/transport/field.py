@@ -101,18 +101,21 @@ class Scattered:
     lobes    (beams, bands, nx, ny, nz) W/m^2, light of a lobe of Henyey and Greenstein's shape
              about the way of each beam: as much as all together has of third moments along these
     g        (bands,) the mean cosine of the lobes
+    times    that light was gathered
     """
 
     moments: np.ndarray
     lobes: np.ndarray
     g: np.ndarray
+    times: int
 
     @classmethod
-    def dark(cls, bands, beams, shape):
+    def dark(cls, bands, beams, shape, times):
         return cls(
             np.zeros((bands, 9, *shape), np.float32),
             np.zeros((beams, bands, *shape), np.float32),
             np.zeros(bands),
+            times,
         )
 
 

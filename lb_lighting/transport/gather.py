@@ -33,6 +33,7 @@ FORWARDS = 0.65  # mean cosine from which on it is worth it
 THICKEST = 3.0  # optical depth of a voxel up to which it is: within thicker ones light changes
 _MOST = 48  # voxels along an edge; more are merged, as what has scattered is smooth
 _MERGED = 2.0  # mean optical depth of those at most, where there is matter
+_LARGEST = 160  # voxels along an edge that are not merged in any case: 1 GB
 _LOBE = 3  # the mean cosine of lobes is this power of g, as of light that scatters a third time
 _BEAMS_AT_ONCE = 16
 _DEGREES = DEGREES.reshape(-1, 1, 1, 1)
@@ -64,15 +65,16 @@ def gather(medium, lights, field, device=None, times=TIMES, progress=None, cance
         moments, lobes = (
             between(grid, pieces, medium.shape) for grid in (found.moments, found.lobes)
         )
-        return Scattered(moments, lobes, found.g)
+        return Scattered(moments, lobes, found.g, times)
     return _gathered(medium, lights, field, device, times, progress, cancel)
 
 
 def _pieces(medium):
     """How many voxels are merged along each edge."""
     depth = medium.depth(np.max(medium.sigma_t))
-    mean = depth.sum() / max(1, np.count_nonzero(depth))
-    return max(1, min(ceil(max(medium.shape) / _MOST), floor(_MERGED / max(mean, 1e-9))))
+    mean, edge = depth.sum() / max(1, np.count_nonzero(depth)), max(medium.shape)
+    wished = min(ceil(edge / _MOST), floor(_MERGED / max(mean, 1e-9)))
+    return max(wished, ceil(edge / _LARGEST))
 
 
 def _merged(field, medium, pieces):
@@ -85,7 +87,7 @@ def _merged(field, medium, pieces):
 def _gathered(medium, lights, field, device, times, progress, cancel):
     """`gather` in a medium's own voxels."""
     ways, box = _Ways(medium, lights), Box.around([medium.density])
-    found = Scattered.dark(medium.bands, len(ways.numbers), medium.shape)
+    found = Scattered.dark(medium.bands, len(ways.numbers), medium.shape, times)
     runs = _runs(medium, lights)
     for number, (band, multiples) in enumerate(runs):
         gatherer = _Gatherer(medium, box, band, ways, device)

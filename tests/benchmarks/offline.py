@@ -36,6 +36,7 @@ def programs():
     yield PHYSICAL
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):
         yield ("fade.cl", "sweep.cl"), some
+    yield ("fade.cl", "sweep.cl"), ("EMITTING", "APART")
     for some in subsets("OCCLUDED"):
         yield ("fade.cl", "march.cl"), some
     shape = ("WIDTH=128", "HEIGHT=128", "DEPTH=128")

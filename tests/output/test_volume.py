@@ -179,7 +179,7 @@ class TestVolumeLight:
         field.direct_flux[:, 2] = -2.1  # the sun's; the skies' light has none
         moments = np.arange(9.0).reshape(9, 1, 1, 1) + np.ones((2, 9, *self.SHAPE[1:]))
         lobes = 0.25 * np.ones((1, *self.SHAPE))
-        field.scattered = Scattered(moments, lobes, np.full(2, 0.6))
+        field.scattered = Scattered(moments, lobes, np.full(2, 0.6), 4)
         lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
         light, others, beams = volume_light(field, lights, mode, g=0.85)
         assert beams == [self.LIGHTS[0]]

@@ -212,6 +212,8 @@ def test_light_of_many_voxels_is_gathered_in_merged_ones(device, monkeypatch):
     thick = medium.altered(voxel_size=1.0)
     assert gathering._pieces(medium) == 2
     assert gathering._pieces(thick) == 1
+    large = Medium(np.ones((321, 4, 4)), 1.0, 10.0, 0.1, G)
+    assert gathering._pieces(large) == 3
 
 
 def test_lobes_are_told_apart_by_their_third_moments():
