@@ -162,7 +162,8 @@ def test_one_frame_again_is_no_sequence(scene, fog):
 def test_frames_of_one_material_are_gathered_alike(scene, fog):
     """Also those whose voxels would be too thick for it alone, and those that are baked later."""
     inputs = fog.active_material.node_tree.nodes["Principled Volume"].inputs
-    inputs["Anisotropy"].default_value, inputs["Density"].default_value = 0.85, 10.0
+    for name, value in {"Anisotropy": 0.85, "Density": 40.0, "Color": (1, 1, 1, 1)}.items():
+        inputs[name].default_value = value
 
     def gathered(**changes):
         bake_frames(fog, quality="preview", **changes)

@@ -30,10 +30,12 @@ from .sweep import Beam, NumpyGlow, Turn
 
 TIMES = 4  # that light is gathered: more gain nothing, as moments are not all there is
 FORWARDS = 0.65  # mean cosine from which on it is worth it
-THICKEST = 3.0  # optical depth of a voxel up to which it is: within thicker ones light changes
-_MOST = 48  # voxels along an edge; more are merged, as what has scattered is smooth
-_MERGED = 2.0  # mean optical depth of those at most, where there is matter
-_LARGEST = 160  # voxels along an edge that are not merged in any case: 1 GB
+# Mean optical depth of voxels, where there is matter: up to which it is, as light changes within
+# thicker ones; and up to which those with more than _MOST along an edge are merged, as what has
+# scattered is smooth.
+THICKEST, _MERGED = 3.0, 2.0
+_MOST = 48
+_LARGEST = 160  # voxels along an edge, beyond which they are merged in any case: 1 GB
 _LOBE = 3  # the mean cosine of lobes is this power of g, as of light that scatters a third time
 _BEAMS_AT_ONCE = 16
 _DEGREES = DEGREES.reshape(-1, 1, 1, 1)
@@ -46,8 +48,8 @@ def is_worthwhile(medium, lights):
     """
     if medium.occlusion is not None or np.max(medium.g) < FORWARDS:
         return False
-    thin = medium.depth(np.max(medium.sigma_t)).max() <= THICKEST
-    return bool(thin and any(isinstance(light, BEAMS) for light in lights))
+    beams = any(isinstance(light, BEAMS) for light in lights)
+    return bool(beams and _mean_depth(medium) <= THICKEST)
 
 
 def gather(medium, lights, field, device=None, times=TIMES, progress=None, cancel=None):
@@ -71,10 +73,15 @@ def gather(medium, lights, field, device=None, times=TIMES, progress=None, cance
 
 def _pieces(medium):
     """How many voxels are merged along each edge."""
-    depth = medium.depth(np.max(medium.sigma_t))
-    mean, edge = depth.sum() / max(1, np.count_nonzero(depth)), max(medium.shape)
-    wished = min(ceil(edge / _MOST), floor(_MERGED / max(mean, 1e-9)))
+    edge = max(medium.shape)
+    wished = min(ceil(edge / _MOST), floor(_MERGED / max(_mean_depth(medium), 1e-9)))
     return max(wished, ceil(edge / _LARGEST))
+
+
+def _mean_depth(medium):
+    """The mean optical depth of voxels where there is matter."""
+    depth = medium.depth(np.max(medium.sigma_t))
+    return depth.sum() / max(1, np.count_nonzero(depth))
 
 
 def _merged(field, medium, pieces):
