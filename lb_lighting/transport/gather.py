@@ -104,6 +104,7 @@ def _gathered(medium, lights, field, device, times, progress, cancel):
         for time in range(times):
             tell = partial(_tell, progress, number * times + time, len(runs) * times)
             light = gatherer.next(light, unscattered, tell, cancel)
+        light.moments[1:] *= gatherer.bound(light)
         for other, factor in multiples.items():
             box.of(found.moments[other])[...] = factor * scale * light.moments
             box.of(found.lobes[:, other])[...] = factor * scale * light.lobes
@@ -260,6 +261,22 @@ class _Gatherer:
         for own, way in zip(lobes, self.along, strict=True):
             moments -= _of_lobe(own, way, g).astype(np.float32)
         return _Light(moments, lobes, g)
+
+    def bound(self, light):
+        """(of the box): what a `_Light`'s uneven moments are to be multiplied by, from 0 to 1, for
+        it to be nowhere less than nothing: a few moments of light from one side are."""
+        cosines = self._cosines(slice(None))
+        least = np.ones(self.depth.shape, np.float32)
+        for number, row in enumerate(harmonics(self.towards.T).T.astype(np.float32)):
+            even, uneven = (
+                row[0] * light.moments[0],
+                np.tensordot(row[1:], light.moments[1:], axes=1),
+            )
+            for own, cosine in zip(light.lobes, cosines, strict=True):
+                even = even + own * phase_function(cosine[number], np.float32(light.g))
+            share = np.divide(even, -uneven, out=np.ones_like(least), where=uneven < 0)
+            np.minimum(least, np.maximum(share, 0), out=least)
+        return least
 
     def groups(self):
         """(`Turn`, numbers) of the directions that are sent at once: from one side."""

@@ -193,6 +193,24 @@ def test_empty_space_around_changes_nothing(device, monkeypatch):
     assert not found.moments[:, :, 0].any()
 
 
+def test_nothing_is_scattered_to_less_than_nothing(monkeypatch):
+    """As a few moments of light from one side would have it; into the directions that are known."""
+    medium = Medium(np.random.default_rng(0).random((6, 7, 8)) ** 3, 0.2, 20.0, 0.1, G)
+    field = solve(medium, [SUN], device="NumPy")
+    towards, _weights = directions_for([way(SUN)], G)
+    lobe = phase_function(towards @ way(SUN), G**3)
+
+    def least():
+        found = gather(medium, [SUN], field, "NumPy", times=1)
+        smooth = np.tensordot(harmonics(towards.T).T, found.moments[0], axes=1)
+        light = smooth + np.multiply.outer(lobe, found.lobes[0, 0])
+        return light.min() / light.max()
+
+    assert least() > -1e-5
+    monkeypatch.setattr(gathering._Gatherer, "bound", lambda *_: 1)
+    assert least() < -1e-3
+
+
 @on_opencl
 def test_light_of_many_voxels_is_gathered_in_merged_ones(device, monkeypatch):
     """Also where these do not divide the edges evenly; but not where they would be too thick."""
