@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from .spread import even_directions, frame_of
+from .spread import GOLDEN, even_directions, frame_of, tilted
 
 _EVEN, _AIMED = 32, 24  # directions from everywhere, and more along the way of each sun
 _AIM = 0.7  # mean cosine of those
@@ -41,10 +41,7 @@ def directions_for(suns, g):
     `harmonics` and `third`.
     """
     u = (np.arange(_AIMED) + 0.5) / _AIMED
-    drop = 1 - _cosine_at(u, _AIM)
-    aimed = even_directions(np.arange(_AIMED), _AIMED)[:, 1:]
-    aimed *= (np.sqrt(drop * (2 - drop)) / np.linalg.norm(aimed, axis=1))[:, None]
-    aimed = np.column_stack([1 - drop, aimed])
+    aimed = tilted(1 - _cosine_at(u, _AIM), np.arange(_AIMED) * GOLDEN % 1)
     even = _EVEN if suns else _EVEN + _AIMED
     found = [even_directions(np.arange(even), even), *(aimed @ frame_of(sun) for sun in suns)]
     found = np.concatenate(found)
