@@ -24,6 +24,7 @@ from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Light, Lit
+from .transport.lights import Sky
 from .transport.medium import Optics
 
 __all__ = [
@@ -203,6 +204,7 @@ def gather(context, objects, options, path=None, settings=None, times=None):
         }
         shining = any(source.shines for source in sources)
         lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
+    whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
     reader.notes.extend(
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
         "convert it to a mesh."
@@ -228,6 +230,7 @@ def gather(context, objects, options, path=None, settings=None, times=None):
         },
         settings=settings,
         times=times,
+        whole=whole,
     )
 
 
@@ -238,21 +241,41 @@ def apply(context, objects, task, lit, frames=None):
     Returns the Volume object that shows it. Raises OutputError for what cannot take it; then the
     scene is as it was.
     """
-    strength = task.options.strength
+    how = task.options.strength, task.whole
     surfaces = [objects[number] for number in lit.ambient]
     attribute.write_ambient(surfaces, list(lit.ambient.values()))
     shown = _show_volume(context, objects, task, lit, frames)
     for ob in surfaces:
         modifier.remove_modifier(ob)
-        shading.light_surface(ob, strength)
+        shading.light_surface(ob, *how)
     for number in task.readers:
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
         modifier.light_foliage(ob, shown)
-        shading.light_surface(ob, strength)
+        shading.light_surface(ob, *how)
         materials = [name and bpy.data.materials.get(name) for name in source.instanced]
-        lit.notes.extend(shading.light_instances(ob, materials, strength))
+        lit.notes.extend(shading.light_instances(ob, materials, *how))
     return shown
+
+
+def _takes_sky(objects, sources, lights, notes):
+    """Whether surfaces can show the sky's own light, too; if not, the notes say why."""
+    showing = {
+        source: ob for ob, source in zip(objects, sources, strict=True) if source.shows_light
+    }
+    materials = [slot.material for ob in showing.values() for slot in ob.material_slots]
+    names = {name for source in showing if source.is_foliage for name in source.instanced}
+    materials += [bpy.data.materials.get(name) for name in names if name]
+    for hinders, reason in (
+        (not all(isinstance(light, Sky) for light in lights), "a lamp shines"),
+        (any(source.shines for source in sources), "fire shines"),
+        (any(source.is_body for source in showing), "a solid shows light"),
+        (not shading.can_be_whole(materials), "a material has its shaders in a node group"),
+    ):
+        if hinders:
+            notes.append(f"The sky's own light was not baked, for {reason}; Cycles adds it.")
+            return False
+    return bool(showing)
 
 
 def _is_read(source, options):

@@ -41,6 +41,7 @@ _HELP = {
     "gather": "follow what volumes scatter forwards along rays of many directions at last",
     "mode": "REPLACE or ADD",
     "foliage": "ATTRIBUTE, written on the mesh, or MODIFIER, which reads the baked volume",
+    "sky": "bake the world's own light into surfaces, too, where no lamp shines",
     "strength": "factor on the light in the render",
     "keep_absorbed": "emit absorbed light again, in the paper's model",
     "device": "part of a device's name",

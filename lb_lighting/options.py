@@ -42,6 +42,7 @@ class Options:
     gather: bool = True  # what media scatter that do so forwards, see transport/gather.py
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
     foliage: str = "ATTRIBUTE"  # how it gets its light: "ATTRIBUTE", or "MODIFIER" that reads it
+    sky: bool = False  # bake its own light into surfaces, too, where nothing else shines
     strength: float = 1.0  # factor on the light in the render
     keep_absorbed: bool = False  # emit absorbed light again, by "paper"
     device: str = ""  # part of a device's label, or "" for the best

@@ -297,6 +297,74 @@ class TestMeshes:
         assert not baked().hide_render
 
 
+class TestSky:
+    """A sky's own light in what surfaces show."""
+
+    RADIANCE = (0.25, 0.5, 1.0)
+
+    @pytest.fixture
+    def leaves(self, scene):
+        """So few that hardly any sky is hidden, under a sky alone."""
+        bpy.data.objects.remove(bpy.data.objects["sun"])
+        scene.world = bpy.data.worlds.new("sky")
+        background = next(n for n in scene.world.node_tree.nodes if n.type == "BACKGROUND")
+        background.inputs["Color"].default_value = (*self.RADIANCE, 1)
+        background.inputs["Strength"].default_value = 2
+        scene.lb_lighting.resolution = 10  # a sky takes NumPy long
+        return scenery.add_leaves(count=3)
+
+    def test_a_lone_leaf_gets_all_of_it(self, leaves):
+        scattered = bake_light(leaves).field
+        assert ambient(leaves).max() < 0.05
+        outcome = bake_light(leaves, sky=True)
+        assert ambient(leaves) == pytest.approx(
+            np.tile(2 * np.array(self.RADIANCE), (9, 1)), rel=0.05
+        )
+        assert not any("sky" in note for note in outcome.notes)
+        assert np.array_equal(outcome.field.fluence, scattered.fluence)
+
+    def test_both_ways_of_foliage_get_the_same(self, leaves, tmp_path):
+        read = bake_light(leaves, sky=True, foliage="MODIFIER").path
+        found = read_grid(read, "lb_ambient")[0]
+        assert found.max() == pytest.approx(2 * max(self.RADIANCE), rel=0.05)
+
+    def test_under_a_dense_crown_there_is_less(self, leaves):
+        bpy.data.objects.remove(leaves)
+        crown = scenery.add_leaves(count=2000)
+        bake_light(crown, sky=True)
+        light = ambient(crown)[:, 2] / (2 * self.RADIANCE[2])
+        place = np.array([vertex.co for vertex in crown.data.vertices])
+        inner = np.abs(place).max(axis=1) < 0.3
+        assert light.max() < 1.05
+        assert light[inner].mean() < 0.75 * light[~inner].mean()
+
+    @pytest.mark.parametrize("hinders", ["sun", "solid", "group"])
+    def test_where_it_cannot_be_cycles_keeps_it_and_the_user_is_told(self, leaves, hinders):
+        objects = [leaves]
+        if hinders == "sun":
+            scenery.add_sun()
+        elif hinders == "solid":
+            material = scenery.leaf_material()
+            objects.append(scenery.add_ball(role="SOLID", material=material))
+        else:
+            tree = bpy.data.node_groups.new("user", "ShaderNodeTree")
+            tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+            closure, output = (
+                tree.nodes.new(k) for k in ("ShaderNodeBsdfDiffuse", "NodeGroupOutput")
+            )
+            tree.links.new(closure.outputs[0], output.inputs[0])
+            nodes, links = (
+                leaves.active_material.node_tree.nodes,
+                leaves.active_material.node_tree.links,
+            )
+            group = nodes.new("ShaderNodeGroup")
+            group.node_tree = tree
+            links.new(group.outputs[0], nodes["Material Output"].inputs["Surface"])
+        task = bake.gather(bpy.context, objects, bake.Options.of(bpy.context.scene, sky=True))
+        assert not task.whole
+        assert sum("sky" in note for note in task.reader.notes) == 1
+
+
 class TestSeveral:
     def test_each_is_lit_and_the_render_shows_volumes_only_as_volume(self, scene, tmp_path):
         fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()

@@ -33,7 +33,7 @@ class Vertices:
     def light(self, field, occlusion=None):
         """(2, n, 4) float32: irradiance / pi of the front and of the back, W/(m^2 sr), alpha 1.
 
-        field      a `Field`: its fluence and flux are what shows; unscattered light is Cycles' own
+        field      a `Field`: its fluence and flux are what shows; other light is Cycles' own
         occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
         """
         points, normals = self._in_world()
@@ -90,11 +90,12 @@ def sample(domain, values, points):
     position = np.clip(domain.to_index(points), 0, last)
     low = np.floor(position).astype(int)
     fraction = position - low
+    by_voxel = np.ascontiguousarray(np.moveaxis(values, 0, -1))  # one place to look at, not many
     result = np.zeros((len(position), len(values)))
     for corner in itertools.product((0, 1), repeat=3):
         weight = np.where(corner, fraction, 1 - fraction).prod(axis=1)
         x, y, z = np.minimum(low + corner, last).T
-        result += weight[:, None] * values[:, x, y, z].T
+        result += weight[:, None] * by_voxel[x, y, z]
     return result
 
 

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node groups `LB Volume Light`, `LB Beam`, `LB Moments`, `LB Lamp` and `LB Ambient`, made by
-code, once in a file."""
+"""The node groups `LB Volume Light`, `LB Beam`, `LB Moments`, `LB Lamp`, `LB Ambient` and
+`LB Rest`, made by code, once in a file."""
 
 import bpy
 
+from ..ours import TAG, find_ours
 from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, ambient_axis
 from .nodes import add_attribute, add_input, add_math, add_mix, add_node, add_output, add_vector
-from .ours import TAG, find_ours
 from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid, moment_grid
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
 MOMENTS_GROUP = "LB Moments"
 LAMP_GROUP = "LB Lamp"
-MADE, VERSION = "lb_lighting_version", 4  # of the groups, raised where one of them changes
+MADE, VERSION = "lb_lighting_version", 5  # of the groups, raised where one of them changes
 AMBIENT_GROUP = "LB Ambient"
+REST_GROUP = "LB Rest"
 
 ANY = (0, 3e38)  # of what is not negative
 COSINE = (-1, 1)
@@ -68,6 +69,14 @@ def ambient_group():
     along each axis, for surfaces of any direction.
     """
     return our_group(AMBIENT_GROUP, _build_ambient)
+
+
+def rest_group():
+    """What of a colour is left for the closure itself, where `LB Ambient` shows all light.
+
+    None for camera rays on what has `lb_ambient`, all elsewhere.
+    """
+    return our_group(REST_GROUP, _build_rest)
 
 
 def our_group(name, build, kind="ShaderNodeTree"):
@@ -266,15 +275,40 @@ def _build_ambient(tree):
     emission = add_node(tree, "ShaderNodeEmission", -150, -100)
     shown = add_vector(tree, "MULTIPLY", color, light, -350, 0)
     tree.links.new(shown, emission.inputs["Color"])
-    seen = add_math(tree, "MULTIPLY", alpha, camera, -550, -200)
+    seen = add_math(tree, "MULTIPLY", alpha, 1.0, -550, -200)
     seen.node.use_clamp = True  # as the Principled BSDF clamps its alpha
     factor = add_math(tree, "MULTIPLY", seen, strength, -350, -200)
     tree.links.new(factor, emission.inputs["Strength"])
-    add = add_node(tree, "ShaderNodeAddShader", 50, 0)
+    # Cycles leaves out what has no weight in a mix: other rays need not find the light.
+    mix = add_node(tree, "ShaderNodeMixShader", 50, -100)
+    tree.links.new(camera, mix.inputs[0])
+    tree.links.new(emission.outputs["Emission"], mix.inputs[2])
+    add = add_node(tree, "ShaderNodeAddShader", 250, 0)
     tree.links.new(shader, add.inputs[0])
-    tree.links.new(emission.outputs["Emission"], add.inputs[1])
-    output = add_node(tree, "NodeGroupOutput", 250, 0)
+    tree.links.new(mix.outputs["Shader"], add.inputs[1])
+    output = add_node(tree, "NodeGroupOutput", 450, 0)
     tree.links.new(add.outputs["Shader"], output.inputs["Shader"])
+
+
+def _build_rest(tree):
+    add_output(tree, "Color", "Color", "Connect where the colour was")
+    color = "The colour of the closure, which shows all its light by LB Ambient"
+    add_input(tree, "Color", "Color", color, (0.8, 0.8, 0.8, 1.0))
+    color = add_node(tree, "NodeGroupInput", -400, 200).outputs["Color"]
+    camera = add_node(tree, "ShaderNodeLightPath", -600, 0).outputs["Is Camera Ray"]
+    # What a surface has not is black, but its alpha is 1.
+    names = AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE
+    sides = [add_attribute(tree, n, -800, -400 + 200 * i) for i, n in enumerate(names)]
+    both = add_vector(tree, "ADD", *(side.outputs["Vector"] for side in sides), -600, -300)
+    light = add_vector(tree, "LENGTH", both, (0, 0, 0), -400, -300)
+    own = add_math(tree, "GREATER_THAN", light, 0.0, -200, -300)
+    instance = add_attribute(tree, AMBIENT_ATTRIBUTE, -600, -500, of="INSTANCER").outputs["Alpha"]
+    lit = add_math(tree, "MAXIMUM", own, instance, -400, -500)
+    shown = add_math(tree, "MULTIPLY", camera, lit, -200, 0)
+    left = add_math(tree, "SUBTRACT", 1.0, shown, 0, 0)
+    rest = add_vector(tree, "SCALE", color, left, 200, 100)
+    output = add_node(tree, "NodeGroupOutput", 400, 100)
+    tree.links.new(rest, output.inputs["Color"])
 
 
 def _instance_light(tree, mean, normal, through):

@@ -8,10 +8,10 @@ instance it stores what falls on a surface of any direction there: `lb_ambient` 
 sides, and `lb_ambient_x`, `_y`, `_z`, from which `LB Ambient` finds the light of each side.
 """
 
+from ..ours import TAG, is_ours
 from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, LEAST_OPEN, OPEN_GRID, ambient_axis
 from .groups import ANY, our_group
 from .nodes import add_input, add_math, add_node, add_output, add_vector
-from .ours import TAG, is_ours
 from .vdb import AXES
 
 GRID_GROUP = "LB Ambient Grid"

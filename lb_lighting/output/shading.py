@@ -9,7 +9,8 @@ eye. "ADD" lies over the source and only emits, for camera rays alone, because C
 scatter the emission once more and count it twice.
 
 Surfaces: the node group `LB Ambient`, put right behind each closure that scatters
-diffusely, so that the user's own mixes weigh its emission; again for camera rays alone.
+diffusely, so that the user's own mixes weigh its emission; again for camera rays alone. Where that
+is all the light there is, `LB Rest` takes the closure's colour away before it.
 """
 
 import math
@@ -17,21 +18,23 @@ import math
 import bpy
 
 from ..errors import OutputError
+from ..ours import TAG, find_ours, give_back, is_ours, is_overridden, override
 from ..transport.lights import Sun
 from .attribute import has_ambient
 from .groups import (
     AMBIENT_GROUP,
     BEAM_GROUP,
     MOMENTS_GROUP,
+    REST_GROUP,
     VOLUME_GROUP,
     ambient_group,
     beam_group,
     lamp_group,
     moments_group,
+    rest_group,
     volume_group,
 )
 from .modifier import has_modifier
-from .ours import TAG, find_ours, give_back, is_ours, is_overridden, override
 from .vdb import AXES, direct_grid, forward_grid
 from .volume import baked_volumes
 
@@ -139,10 +142,11 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
         target = _insert_beam(material.node_tree, target, number, grid, beam, core, own)
 
 
-def wire_ambient(material, strength=1.0):
+def wire_ambient(material, strength=1.0, whole=False):
     """Add ambient light to what `material` shows; a second call updates it.
 
     strength  factor on the light, dimensionless
+    whole     whether it is all light: then camera rays find no other that is scattered diffusely
 
     Each diffuse closure emits its own colour, and its own alpha, times the light of the side that
     is seen, or of the other where it is translucent; others stay as they are. Raises OutputError
@@ -153,6 +157,8 @@ def wire_ambient(material, strength=1.0):
     tree = material.node_tree
     for closure, targets in _diffuse_closures(tree).items():
         _insert_ambient(tree, closure, targets, strength)
+        if whole and "Color" in AMBIENT_INPUTS[closure.node.type]:
+            _insert_rest(tree, closure.node)
     if _ambient_nodes(material) and hasattr(material, "cycles"):
         override(material, "cycles.emission_sampling", "NONE")
 
@@ -166,6 +172,12 @@ def unwire_ambient(material):
             if closure:
                 tree.links.new(closure, target)
         tree.nodes.remove(node)
+    for node in [node for node in tree.nodes if node.get(TAG) == REST_GROUP]:
+        color = _source(node.inputs["Color"])
+        for target in [link.to_socket for link in node.outputs[0].links]:
+            if color:
+                tree.links.new(color, target)
+        tree.nodes.remove(node)
     give_back(material)
 
 
@@ -177,7 +189,16 @@ def refuse_unwritable(objects):
                 _refuse_linked(slot.material)
 
 
-def light_surface(ob, strength=1.0):
+def can_be_whole(materials):
+    """Whether `wire_ambient` can take away what diffuse closures of the `materials` show
+    themselves: not those in a user's own groups."""
+    trees = [material.node_tree for material in materials if material and material.node_tree]
+    closures = [closure.node for tree in trees for closure in _diffuse_closures(tree)]
+    closures = [_source(c.inputs["Shader"]).node if is_ours(c) else c for c in closures]
+    return all("Color" in AMBIENT_INPUTS[closure.type] for closure in closures)
+
+
+def light_surface(ob, strength=1.0, whole=False):
     """Wire every material of `ob`, and one of ours where it has none; see `wire_ambient`."""
     if not ob.material_slots:
         ob.data.materials.append(None)
@@ -185,14 +206,14 @@ def light_surface(ob, strength=1.0):
     for slot in ob.material_slots:
         if slot.material is None:
             slot.material = _plain_material()
-        wire_ambient(slot.material, strength)
+        wire_ambient(slot.material, strength, whole)
 
 
-def light_instances(ob, materials, strength=1.0):
+def light_instances(ob, materials, strength=1.0, whole=False):
     """Wire the `materials` of what the modifiers of `ob` instance; notes on what cannot be."""
     editable = {m for m in materials if m is not None and m.is_editable}
     for material in editable:
-        wire_ambient(material, strength)
+        wire_ambient(material, strength, whole)
     if editable.issuperset(materials):
         return []
     return [
@@ -325,6 +346,18 @@ def _insert_ambient(tree, closure, targets, strength):
     tree.links.new(closure, node.inputs["Shader"])
     for target in targets:
         tree.links.new(node.outputs["Shader"], target)
+
+
+def _insert_rest(tree, shader):
+    """Put `LB Rest` before the colour of the diffuse closure of a node."""
+    socket = shader.inputs[AMBIENT_INPUTS[shader.type]["Color"]]
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = rest_group()
+    node.name = node.label = node[TAG] = REST_GROUP
+    node.parent = shader.parent
+    node.location = shader.location.x - node.width - 20, shader.location.y
+    _imitate(tree, node.inputs["Color"], socket)
+    tree.links.new(node.outputs["Color"], socket)
 
 
 def _imitate(tree, socket, model):

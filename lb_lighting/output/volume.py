@@ -10,7 +10,7 @@ import bpy
 from mathutils import Matrix
 
 from ..errors import OutputError
-from .ours import TAG, is_ours
+from ..ours import TAG, is_ours
 from .vdb import is_baked_file
 
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light

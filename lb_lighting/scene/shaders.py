@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SceneError
+from ..ours import is_ours
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, as Blender turns colour into a number
 
@@ -156,6 +157,8 @@ def resolve(socket, groups=()):
         return resolve(links[0].from_socket, groups) if links else (socket, groups)
     node = socket.node
     if node.type == "REROUTE":
+        return resolve(node.inputs[0], groups)
+    if node.type == "GROUP" and is_ours(node):  # what it was put in front of, or behind
         return resolve(node.inputs[0], groups)
     if node.type == "GROUP":
         inside = next(n for n in node.node_tree.nodes if n.type == "GROUP_OUTPUT")

@@ -86,6 +86,7 @@ class Light:
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     settings  `Settings` that another frame was planned to have, or None
     times     that the light of another frame was gathered, or None
+    whole     whether surfaces are to show all light, unscattered light, too
     """
 
     options: Options
@@ -99,6 +100,7 @@ class Light:
     facts: dict
     settings: Settings | None = None
     times: int | None = None
+    whole: bool = False
 
     @property
     def scraps(self):
@@ -130,17 +132,19 @@ class Light:
     def plan(self, problem, quality, fixed=None):
         """The `Plan` for a `Problem`; fixed is what is not to be chosen."""
         device = self.options.device or None
-        # Lamps' own light on surfaces is Cycles'.
-        scattered = bool(self.surfaces or self.readers)
+        # Lamps' own light on surfaces is Cycles', but for a sky's that is baked.
+        scattered = bool(self.surfaces or self.readers) and not self.whole
         return plan(problem.medium, problem.lights, quality, device, fixed, scattered=scattered)
 
     def keep(self, problem, field, planned=None):
         """Write the file of the `Field` that a `Problem` has: a `Lit`."""
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
-        beams = self._write(problem, field, occlusion, planned)
+        falling = field.with_unscattered() if self.whole else field
+        read = ambient_grids(falling, occlusion) if self.readers else None
+        beams = self._write(problem, field, read, planned)
         ambient = {
-            number: vertices.light(field, occlusion)
+            number: vertices.light(falling, occlusion)
             for number, vertices in self.surfaces.items()
             if self.sources[number].shows_light
         }
@@ -261,8 +265,9 @@ class Light:
         field.scattered = gather.gather(medium, lights, field, device, times, progress)
         field.report.seconds["gather"] = perf_counter() - start
 
-    def _write(self, problem, field, occlusion, planned):
-        """Write the .vdb; the beams that it has grids of."""
+    def _write(self, problem, field, read, planned):
+        """Write the .vdb, with the grids that a modifier is to read, or None; the beams that it has
+        grids of."""
         light, others, beams = volume_light(
             field, problem.lights, self.options.mode, problem.medium.g
         )
@@ -271,7 +276,6 @@ class Light:
         stamp = self._stamp(problem.medium, field.report) | {GATHERED: _times(field)}
         if planned is not None:
             stamp["expected_error"] = planned.error
-        read = ambient_grids(field, occlusion) if self.readers else None
         write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
         return beams
 

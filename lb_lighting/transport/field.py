@@ -2,7 +2,7 @@
 """What a solver returns: light in every voxel, and how it was found."""
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -150,6 +150,11 @@ class Field:
     direct_flux: np.ndarray | None = None
     forward: np.ndarray | None = None
     scattered: Scattered | None = None
+
+    def with_unscattered(self):
+        """The same, but `fluence` and `flux` count all light."""
+        fluence, flux = self.fluence + self.direct, self.flux + self.direct_flux
+        return replace(self, fluence=fluence, flux=flux)
 
     def mean_radiance(self):
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""

@@ -124,6 +124,7 @@ class LB_PT_output(SubPanel, bpy.types.Panel):  # noqa: N801 - Blender's convent
         column.prop(settings, "mode")
         column.prop(settings, "gather")
         column.prop(settings, "foliage")
+        column.prop(settings, "sky")
         column.prop(settings, "strength")
         column.prop(settings, "folder", placeholder="The .blend's")
         column.prop(settings, "overwrite")

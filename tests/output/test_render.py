@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Vector
 
-from lb_lighting.output.attribute import read_vertices, write_ambient
+from lb_lighting.output.attribute import read_vertices, remove_ambient, write_ambient
 from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
@@ -361,7 +361,7 @@ def test_baked_volume_lies_on_its_source(tmp_path):
     assert found.mean() == pytest.approx(seen.mean(), rel=0.01)
 
 
-def light_plane(ob, radiance, flux=0.0):
+def light_plane(ob, radiance, flux=0.0, whole=False):
     """Ambient light of that mean radiance, (3,), and that flux upwards, W/m^2, on a plane."""
     fluence = 4 * np.pi * np.broadcast_to(np.reshape(radiance, (-1, 1, 1, 1)), (3, *BOX.shape))
     upwards = np.zeros((3, 3, *BOX.shape))
@@ -369,7 +369,7 @@ def light_plane(ob, radiance, flux=0.0):
     field = Field(BOX, fluence, 0 * fluence, upwards, Report("physical", "none"))
     vertices = read_vertices(ob, bpy.context.evaluated_depsgraph_get())
     write_ambient([ob], [vertices.light(field)])
-    wire_ambient(ob.active_material, strength=2.0)
+    wire_ambient(ob.active_material, strength=2.0, whole=whole)
 
 
 def ambient_plane(radiance, material):
@@ -474,6 +474,41 @@ def test_each_side_shows_the_light_that_it_gets(tmp_path, turn, scale):
     expected = (COLOR * above + OTHER * below) / np.pi
     picture = render(scene, tmp_path / "a.exr", 16, 1)
     assert middle(picture) == pytest.approx(2 * expected, rel=0.01)
+
+
+SKY = np.array([0.4, 0.3, 0.8])
+
+
+def under_sky(width):
+    scene = dark_scene(*FROM_ABOVE, width=width)
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (*SKY, 1)
+    links.new(background.outputs[0], output.inputs["Surface"])
+    return scene
+
+
+@pytest.mark.parametrize("name", ["diffuse", "translucent", "subsurface", "leaf"])
+def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
+    """And what has the same material, but is not lit, shows the sky's as before."""
+    scene, (make, reflectance) = under_sky(width=1), REFLECTANCES[name]
+    ob = plane(0, 2, make())
+    before = render(scene, tmp_path / "a.exr", 16, 64)
+    light_plane(ob, LIGHT, whole=True)
+    lit = render(scene, tmp_path / "b.exr", 16, 4)
+    assert middle(lit) == pytest.approx(2 * reflectance * LIGHT, rel=0.01)
+    remove_ambient(ob)
+    after = render(scene, tmp_path / "c.exr", 16, 64)
+    assert middle(after) == pytest.approx(middle(before), rel=1e-3)
+    assert middle(before).min() > 0.01
+
+
+def test_the_gloss_of_what_shows_all_light_stays(tmp_path):
+    scene = under_sky(width=1)
+    light_plane(plane(0, 2, principled(1.0)), LIGHT, whole=True)
+    gloss = middle(render(scene, tmp_path / "a.exr", 16, 256)) - 2 * COLOR * LIGHT
+    # Fresnel's share at right angles is .04 at an index of refraction of 1.5.
+    assert gloss == pytest.approx(0.04 * SKY, rel=0.25)
 
 
 def test_ambient_light_does_not_light_its_surroundings(tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import OutputError
+from lb_lighting.ours import is_ours
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.groups import (
     AMBIENT_GROUP,
@@ -16,8 +17,8 @@ from lb_lighting.output.groups import (
     volume_group,
 )
 from lb_lighting.output.modifier import GRID_GROUP, grid_group
-from lb_lighting.output.ours import is_ours
 from lb_lighting.output.shading import (
+    can_be_whole,
     hide_source,
     light_surface,
     prepare_scene,
@@ -246,14 +247,15 @@ def behind(material, closure):
     )
 
 
+@pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("graph", WIRED + LEFT_ALONE)
-def test_unwire_restores_the_graph_exactly(graph):
+def test_unwire_restores_the_graph_exactly(graph, whole):
     material = graph()
     before = dump(material)
-    wire_ambient(material)
+    wire_ambient(material, whole=whole)
     wired = dump(material)
     assert (wired == before) is (graph in LEFT_ALONE)
-    wire_ambient(material)
+    wire_ambient(material, whole=whole)
     assert dump(material) == wired
     unwire_ambient(material)
     assert dump(material) == before
@@ -328,11 +330,18 @@ def test_a_second_call_updates():
     assert inputs["Color"].default_value[:3] == pytest.approx((0.7, 0.6, 0.5))
 
 
+def test_only_groups_of_the_user_cannot_be_whole():
+    possible = {graph: can_be_whole([graph(), None]) for graph in WIRED + LEFT_ALONE}
+    assert [graph for graph, can in possible.items() if not can] == [grouped]
+    assert not can_be_whole([principled(), grouped()])
+
+
+@pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("graph", [principled, mixed, framed])
-def test_a_lit_leaf_is_still_read_as_the_same_leaf(graph):
+def test_a_lit_leaf_is_still_read_as_the_same_leaf(graph, whole):
     material = graph()
     before = leaf_optics(material)
-    wire_ambient(material)
+    wire_ambient(material, whole=whole)
     assert leaf_optics(material) == before
 
 

@@ -43,6 +43,7 @@ class TestProperties:
             "grid": "smoke",
             "mode": "ADD",
             "foliage": "MODIFIER",
+            "sky": True,
             "strength": 0.5,
             "model": "paper",
             "quality": "preview",
