@@ -202,6 +202,8 @@ def _environment():
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(folders),
+        # NumPy's own threads take processors from the device, and there is little for them to do.
+        "OPENBLAS_NUM_THREADS": "1",
         "PYTHONDONTWRITEBYTECODE": "1",
     }
 

@@ -72,6 +72,32 @@ class Cast:
         """(3, nx, ny, nz) W/m^2, its net flux."""
         return self.toward if self.toward.ndim > 1 else self._along(self.direct)
 
+    def times(self, factor, reflecting):
+        """The same of light that is stronger by a factor, where opaque matter reflects more, too.
+
+        reflecting  factor on the share that it does
+        """
+        met = self.stopped
+        reflected = self.reflected
+        if reflected is not None:
+            met += float(reflected.sum(dtype=float))
+            reflected = _product(factor * reflecting, reflected)
+        toward, collided = self.toward, self.collided
+        return Cast(
+            _product(factor, self.direct),
+            _product(factor, toward) if toward.ndim > 1 else toward,
+            self.shade,
+            Moments(
+                _product(factor, collided.power),
+                _product(factor, collided.position),
+                _product(factor, collided.direction),
+            ),
+            reflected,
+            factor * self.left,
+            factor * met - (0.0 if reflected is None else float(reflected.sum(dtype=float))),
+            factor * self.entered,
+        )
+
     def over(self, other):
         """(direct, flux) in the shade, by which it is more than another of the same light."""
         shade = self.shade.of

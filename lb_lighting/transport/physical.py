@@ -32,6 +32,7 @@ _PHOTONS_A_VOXEL = 64
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
 _MOST_SHIFTS = 64  # times that light is radiated again: each time it is less
 _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
+_ALIKE = 1e-6  # relative: what is rounded otherwise is no other medium
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 
 
@@ -87,8 +88,9 @@ def plan(shape, settings, device, bands, occluded, lights=4):
     voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
     fields = bands * (1 + 1 + 3 + 3 + 2 * lights + traced) * 4
-    band, handed = 7 * 8 + 2 * lights * 4, 8 * 8  # its light, and what is handed over
-    casts = 2 * (11 + 7 * occluded) * 4  # with the forward peak, and without
+    band, handed = 7 * 8 + 2 * lights * 4, bands * 8 * 8  # its light, and what is handed over
+    # With the forward peak and without, of a band and of another that shares its rays.
+    casts = 2 * min(bands, 2) * (11 + 7 * occluded) * 4
     # One after the other, not both at once: rays, and the lattice with its source made ready.
     needs = [
         sum(rays.values()) + casting + casts * voxels,
@@ -295,14 +297,18 @@ class _Work:
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
         lit_before = set()
-        for number, (band, multiples, some) in enumerate(runs):
-            self.begun = begun + (1 - begun) * number / len(runs)
-            self.share = (1 - begun) / len(runs)
-            lit = _Band.dark(field, band, some, in_place=band not in lit_before)
-            self._band(medium, box, [shining[n] for n in some], band, traced, lit)
-            lit_before |= set(multiples)
-            for other, factor in multiples.items():
-                _take(field, lit, some, other, factor)
+        for some, together in _together(runs):
+            self.share = (1 - begun) * len(together) / len(runs)
+            self.begun, begun = begun, begun + self.share
+            lit = {
+                band: _Band.dark(field, band, some, in_place=band not in lit_before)
+                for band in together
+            }
+            self._bands(medium, box, [shining[n] for n in some], traced, lit)
+            for band, multiples in together.items():
+                lit_before |= set(multiples)
+                for other, factor in multiples.items():
+                    _take(field, lit[band], some, other, factor)
         field.report.converged = field.report.residual <= self.settings.tolerance
         if traced is not None:
             field.variance = traced.variance
@@ -343,28 +349,22 @@ class _Work:
                 cancel=self.cancel,
             )
 
-    def _band(self, medium, box, lights, band, traced, lit):
-        """Light a `_Band`."""
-        self._tell("direct", self.begun)
-        if self.settings.scattering == "single":
-            with self.clock("direct"):
-                self._unscattered(medium, box, lights, band, lit)
-            return
+    def _bands(self, medium, box, lights, traced, lit):
+        """Light each of the `_Band`s in {band: `_Band`}."""
+        begun, share = self.begun, self.share
+        self._tell("direct", begun)
         with self.clock("direct"):
-            if traced is None:
-                handover = self._first_collisions(medium, box, lights, band, lit)
-            else:
-                handover = _handed_over(medium, box, band, traced, lit)
-                for number, part in _parts(lights):
-                    cast = self._cast(medium, box, part, band, medium.sigma_t[band], shadowed=False)
-                    lit.add_unscattered(number, cast)
-                    if isinstance(part, BEAMS):
-                        ahead = self._cast_forward(medium, box, part, band, cast, shadowed=False)[0]
-                        shade = ahead.shade.of
-                        shade(lit.forward[number])[...] += ahead.over(cast)[0]
-        with self.clock("solve"):
-            self._scatter(medium, band, handover, lit)
-        self._tell("solve", self.begun + self.share)
+            if self.settings.scattering == "single":
+                self._unscattered(medium, box, lights, lit)
+                return
+            collect = self._first_collisions if traced is None else self._last_collisions
+            handovers = collect(medium, box, lights, traced, lit)
+        self.share = share * (1 - _CASTING) / len(lit)
+        for number, (band, handover) in enumerate(handovers.items()):
+            self.begun = begun + share * _CASTING + number * self.share
+            with self.clock("solve"):
+                self._scatter(medium, band, handover, lit[band])
+        self._tell("solve", begun + share)
 
     def _tell(self, stage, fraction):
         if self.progress is not None:
@@ -380,36 +380,60 @@ class _Work:
         rays = max(1, round(rays * self.settings.rays))
         return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel, box)
 
-    def _unscattered(self, medium, box, lights, band, lit):
+    def _unscattered(self, medium, box, lights, lit):
         """Light that has not scattered alone; what would scatter is counted, and followed no
         further."""
-        lit.energy["scattered"] = 0.0
+        for own in lit.values():
+            own.energy["scattered"] = 0.0
+        for number, rays in self._each(medium, box, lights):
+            for band, own in lit.items():
+                cast, albedo = rays.cast(band, medium.sigma_t[band]), medium.albedo[band]
+                own.add_unscattered(number, cast)
+                collided = cast.collided.power.sum(dtype=float)
+                reflected = 0.0 if cast.reflected is None else cast.reflected.sum(dtype=float)
+                own.energy["entered"] += cast.entered
+                own.energy["absorbed"] += cast.stopped + (1 - albedo) * collided
+                own.energy["left"] += cast.left
+                own.energy["scattered"] += albedo * collided + reflected
+
+    def _first_collisions(self, medium, box, lights, _traced, lit):
+        """{band: `_Handover` of first collisions}; what else they tell goes to `lit`."""
+        handovers = {band: _Handover(medium, box) for band in lit}
+        for number, rays in self._each(medium, box, lights):
+            for band, own in lit.items():
+                unscattered = rays.cast(band, medium.sigma_t[band])
+                if _is_uniform(rays.light, medium, band):
+                    self._take_missing(rays, band, unscattered, handovers[band], own)
+                else:
+                    self._take_collided(rays, band, number, unscattered, handovers[band], own)
+                own.add_unscattered(number, unscattered)
+        return handovers
+
+    def _last_collisions(self, medium, box, lights, traced, lit):
+        """{band: `_Handover` of photons at their last collision}; what else they tell goes to
+        `lit`."""
+        handovers = {
+            band: _handed_over(medium, box, band, traced, own) for band, own in lit.items()
+        }
+        for number, rays in self._each(medium, box, lights):
+            for band, own in lit.items():
+                cast = rays.cast(band, medium.sigma_t[band], shadowed=False)
+                own.add_unscattered(number, cast)
+                if isinstance(rays.light, BEAMS):
+                    ahead = self._cast_forward(rays, band, cast, shadowed=False)[0]
+                    shade = ahead.shade.of
+                    shade(own.forward[number])[...] += ahead.over(cast)[0]
+        return handovers
+
+    def _each(self, medium, box, lights):
+        """(number of its light, `_Rays`) of each part of the lights, one at a time, for casts take
+        much memory."""
         for number, part in _parts(lights):
-            cast = self._cast(medium, box, part, band, medium.sigma_t[band])
-            lit.add_unscattered(number, cast)
-            collided = cast.collided.power.sum(dtype=float)
-            reflected = 0.0 if cast.reflected is None else cast.reflected.sum(dtype=float)
-            albedo = medium.albedo[band]
-            lit.energy["entered"] += cast.entered
-            lit.energy["absorbed"] += cast.stopped + (1 - albedo) * collided
-            lit.energy["left"] += cast.left
-            lit.energy["scattered"] += albedo * collided + reflected
+            yield number, _Rays(self, medium, box, part)
 
-    def _first_collisions(self, medium, box, lights, band, lit):
-        """The `_Handover` of first collisions; what else they tell goes to `lit`."""
-        handover = _Handover(medium, box)
-        for number, part in _parts(lights):  # one at a time, for a cast takes much memory
-            unscattered = self._cast(medium, box, part, band, medium.sigma_t[band])
-            if _is_uniform(part, medium, band):
-                self._take_missing(medium, part, band, unscattered, handover, lit)
-            else:
-                self._take_collided(medium, part, band, number, unscattered, handover, lit)
-            lit.add_unscattered(number, unscattered)
-        return handover
-
-    def _take_collided(self, medium, light, band, number, unscattered, handover, lit):
+    def _take_collided(self, rays, band, number, unscattered, handover, lit):
         """Hand over the first collisions of a light."""
-        cast, share, straight = self._cast_forward(medium, handover.box, light, band, unscattered)
+        cast, share, straight = self._cast_forward(rays, band, unscattered)
         handover.add(cast.collided, share, straight)
         if cast.reflected is not None:
             handover.add_reflected(cast.reflected)
@@ -420,19 +444,21 @@ class _Work:
         lit.energy["absorbed"] += cast.stopped + (1 - share) * collided
         lit.energy["left"] += cast.left
 
-    def _take_missing(self, medium, sky, band, unscattered, handover, lit):
+    def _take_missing(self, rays, band, unscattered, handover, lit):
         """Hand over what absorption takes from a uniform sky, as light that is missing.
 
         Without absorption a uniform sky lights everything evenly, whatever scatters. What is
         missing is light that the medium would radiate if it gave back all that it absorbs of
         that; so a white medium is exact, and a bright one leaves the lattice little to carry.
         """
-        radiance = float(by_band(sky.radiance, medium.bands)[band])
+        medium = rays.medium
+        radiance = float(by_band(rays.light.radiance, medium.bands)[band])
         # More is an error of the rays, and would be left to less scattered light than none.
         np.minimum(unscattered.direct, 4 * np.pi * radiance, out=unscattered.direct)
         absorbing = medium.sigma_a[band] * medium.density
         dark = Emission(medium.altered(emission=4 * np.pi * radiance * absorbing))
-        cast, share, straight = self._cast_forward(medium, handover.box, dark, band, None)
+        dark = _Rays(self, medium, rays.box, dark)
+        cast, share, straight = self._cast_forward(dark, band, None)
         handover.add(cast.collided, -share, straight)
         lit.fluence += 4 * np.pi * radiance - cast.direct - unscattered.direct
         lit.flux -= cast.flux + unscattered.flux
@@ -442,7 +468,7 @@ class _Work:
         lit.energy["entered"] += through_faces.sum()
         lit.energy["left"] += through_faces - cast.left
 
-    def _cast_forward(self, medium, box, light, band, unscattered, shadowed=True):
+    def _cast_forward(self, rays, band, unscattered, shadowed=True):
         """(`direct.Cast`, share of its collisions that scatters, mean cosine of that).
 
         The forward peak counts as unscattered: of what scatters, the share f = g^2 goes straight
@@ -451,6 +477,7 @@ class _Work:
 
         unscattered  the cast in which it does not, where there is one
         """
+        medium, light = rays.medium, rays.light
         albedo, g = medium.albedo[band], medium.g[band]
         # A soft lamp dims what comes from it, not what goes on from a collision beside it.
         soft = getattr(light, "radius", 0) > 0 and is_within(light, medium.domain)
@@ -458,7 +485,7 @@ class _Work:
         cast = unscattered
         if forward > 0 or cast is None:
             less = medium.sigma_t[band] - forward * medium.sigma_s[band]
-            cast = self._cast(medium, box, light, band, less, shadowed)
+            cast = rays.cast(band, less, shadowed, peaked=False)
         share = albedo * (1 - forward) / (1 - albedo * forward)
         return cast, share, (g - forward) / (1 - forward)
 
@@ -500,7 +527,50 @@ class _Work:
             self.residual(error)
         tolerance = self.settings.tolerance
         reached = np.log(max(error, tolerance)) / np.log(tolerance)
-        self._tell("solve", self.begun + self.share * (_CASTING + (1 - _CASTING) * reached))
+        self._tell("solve", self.begun + self.share * reached)
+
+
+class _Rays:
+    """Sends the rays of a light; bands of which they meet the same share them.
+
+    So they are sent once through leaves, which stop all colours alike, and through smoke that only
+    differs in how much of each it scatters.
+    """
+
+    def __init__(self, work, medium, box, light):
+        self.work, self.medium, self.box, self.light = work, medium, box, light
+        self.sent = {}  # {whether without the forward peak: (sigma_t, band, `direct.Cast`)}
+
+    def cast(self, band, sigma_t, shadowed=True, peaked=True):
+        """The `direct.Cast` of a band.
+
+        sigma_t   extinction at density 1 to reckon with, 1/m
+        shadowed  whether the light's own shadow density counts, the same in all calls
+        peaked    whether the forward peak counts as scattered
+        """
+        if peaked in self.sent:
+            known, base, cast = self.sent[peaked]
+            factors = self._factors(band, base)
+            if np.isclose(known, sigma_t, rtol=_ALIKE, atol=0) and None not in factors:
+                return cast if factors == (1, 1) else cast.times(*factors)
+        found = self.work._cast(self.medium, self.box, self.light, band, sigma_t, shadowed)
+        self.sent[peaked] = sigma_t, band, found
+        return found
+
+    def _factors(self, band, base):
+        """How many times more light of a band there is, and is reflected by what is opaque; None
+        where that is no number."""
+        light, medium = multiple([self.light], self.medium, band, base), self.medium
+        if medium.occlusion is None:
+            return light, 1.0
+        own, other = (medium.occlusion_albedo[b] for b in (band, base))
+        if np.array_equal(own, other):
+            return light, 1.0
+        total = float(np.sum(other, dtype=float))
+        ratio = float(np.sum(own, dtype=float)) / total if total else 1.0
+        alike = np.allclose(own, ratio * other, rtol=_ALIKE, atol=0)
+        # What is reflected out of the domain at once is not counted apart from what else leaves.
+        return light, ratio if alike and not _on_border(medium.occlusion) else None
 
 
 def _box(medium, lights):
@@ -544,6 +614,25 @@ def _runs(medium, lights, apart):
             else:
                 runs.append((band, multiples, [number]))
     return runs
+
+
+def _on_border(grid):
+    """Whether a grid (nx, ny, nz) has anything in its outermost voxels."""
+    return any(grid.take((0, -1), axis).any() for axis in range(3))
+
+
+def _together(runs):
+    """[(numbers of lights, {band: its multiples})]: the runs of the same lights after each other.
+
+    But not of bands that were lit before, which take memory of their own.
+    """
+    found, lit_before = [], set()
+    for band, multiples, numbers in runs:
+        if band in lit_before or not found or found[-1][0] != numbers:
+            found.append((numbers, {}))
+        found[-1][1][band] = multiples
+        lit_before |= set(multiples)
+    return found
 
 
 def _parts(lights):

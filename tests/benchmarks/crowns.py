@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from tests.demo import assets
 from tests.demo.assets import Mesh, unit
@@ -151,10 +151,11 @@ def light(sun, sky):
     scene.render.film_transparent = True
 
 
-def look(case, view):
-    """A camera without perspective, from the side `view`."""
+def look(case, view, turn=0.0):
+    """A camera without perspective, from the side `view`, or from there turned about the trunk by
+    so many rad."""
     scene = bpy.context.scene
-    towards = Vector(VIEWS[view]).normalized()
+    towards = Matrix.Rotation(turn, 3, "Z") @ Vector(VIEWS[view]).normalized()
     camera = bpy.data.cameras.new("Camera")
     camera.type, camera.ortho_scale = "ORTHO", case.width
     scene.camera = bpy.data.objects.new("Camera", camera)

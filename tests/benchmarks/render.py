@@ -3,11 +3,11 @@
 
     python -m tests.benchmarks.render [PART ...]
 
-PART is clouds, trees, smoke, teapot, flicker, mitsuba, forward, around, or the name of a scene;
-default: all. Ours is what Bake makes with the quality Custom, whose defaults are the lattice alone
-in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is rendered with
-several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and its cost by
-start + each n, which gives its time at any error.
+PART is clouds, trees, smoke, teapot, flicker, turning, mitsuba, forward, around, or the name of a
+scene; default: all. Ours is what Bake makes with the quality Custom, whose defaults are the lattice
+alone in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is rendered
+with several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and its cost
+by start + each n, which gives its time at any error.
 Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
@@ -27,7 +27,7 @@ import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
 from lb_lighting.output import shading  # noqa: E402
-from tests.benchmarks import endtoend, pictures, shots  # noqa: E402
+from tests.benchmarks import crowns, endtoend, pictures, shots  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
 from tests.setup import peers  # noqa: E402
 
@@ -38,6 +38,8 @@ FULL = 1920 * 1080 / pictures.SIZE**2  # the pixels of a full picture, over thos
 FLICKER = 4  # samples of ours where pictures move
 FEW = 16  # of either half of the references of those
 MANY = 65  # of a picture that tells what each costs: fewer are lost in what the start costs
+TURNING = ("green tree, sun and sky", "white tree, sun", "white tree, white sky, baked")
+STEP = 0.05  # rad from view to view
 MITSUBA = 32  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
 FORWARD = "cloud, albedo 0.99, g 0.85"
@@ -127,7 +129,8 @@ def baked(shot, folder, **changes):
     objects = shot.build(folder)
     meter = pictures.Meter()
     with meter():
-        options = bake.Options(folder=str(folder), **{"quality": "CUSTOM"} | changes)
+        chosen = {"quality": "CUSTOM"} | shot.options | changes
+        options = bake.Options(folder=str(folder), **chosen)
         outcome = bake.bake(bpy.context, objects, options)
         shading.use_light(bpy.context.scene)
     return meter, outcome
@@ -239,7 +242,7 @@ def summary(rows):
     }
 
 
-# --- Twelve frames -------------------------------------------------------------------------------
+# --- Frames -------------------------------------------------------------------------------------
 
 
 def flicker():
@@ -264,16 +267,54 @@ def flicker():
                 )
             found["Cycles" + ", denoised" * denoise, samples] = meter, theirs
     keep("flicker", halves[:, 0], [images for _, images in found.values()])
+    return moving(found, halves)
+
+
+def moving(found, halves):
+    """[row] for {(light, samples): (`Meter`, pictures (frames, ...))} of frames that differ; halves
+    (frames, 2, ...) of the reference."""
     return [
         {
             "light": light,
             "samples": samples,
-            "processor s a frame": meter.processor / len(frames),
+            "processor s a frame": meter.processor / len(halves),
             "flicker": pictures.flicker(np.array(images), halves),
             "error": pictures.error(np.array(images), halves.swapaxes(0, 1)),
         }
         for (light, samples), (meter, images) in found.items()
     ]
+
+
+def turning():
+    """[row]: trees that the camera goes around, baked once, in as much time with the bake in it."""
+    shown = [shot for shot in shots.shots() if shot.name in TURNING]
+    return [{"scene": shot.name} | row for shot in shown for row in turned(shot)]
+
+
+def turned(shot):
+    """[row] of one tree, seen from VIEWS sides, STEP apart; figures are of 4x4 means."""
+
+    def seen(samples, bounces=None, seed=None, denoise=False, meter=None):
+        images = []
+        for number in range(VIEWS):
+            crowns.look(crowns.CASES["tree"], "lit", number * STEP)
+            own = number if seed is None else seed
+            images.append(pictures.picture(samples, bounces, own, denoise, meter))
+        return pictures.blocks(np.array(images))
+
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        baked(shot, folder)
+        meter, _ = baked(shot, folder)
+        pictures.picture(1)
+        found = {("ours", FEW): (meter, seen(FEW, meter=meter))}
+        samples = affordable(shot, folder, meter.processor / VIEWS)
+        for denoise in (False, True):
+            own = pictures.Meter()
+            images = seen(samples, shot.bounces[0], denoise=denoise, meter=own)
+            found["Cycles" + ", denoised" * denoise, samples] = own, images
+        halves = [seen(shot.half, shot.bounces[0], seed) for seed in pictures.SEEDS]
+    return moving(found, np.stack(halves, axis=1))
 
 
 def affordable(shot, folder, seconds):
@@ -379,7 +420,13 @@ def around():
     return rows
 
 
-PARTS = {"flicker": flicker, "mitsuba": opinions, "forward": forward, "around": around}
+PARTS = {
+    "flicker": flicker,
+    "turning": turning,
+    "mitsuba": opinions,
+    "forward": forward,
+    "around": around,
+}
 
 
 def main():

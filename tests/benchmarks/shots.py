@@ -2,7 +2,7 @@
 """The scenes of `make bench-render`: clouds, a fire in smoke, trees, a teapot."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -16,6 +16,7 @@ from tests.demo import scenes as demo
 
 SUNS = ((endtoend.FROM_THE_LEFT, endtoend.WHITE),)
 LIGHTS = {"sun": (True, False), "sun and sky": (True, True), "white sky": (False, True)}
+BAKED = "white sky, baked"  # as the next, but what is lit shows the sky's own light, too
 # (reflectance, transmittance) of leaves in the red, green and blue of the picture.
 GREEN = ((0.05, 0.03), (0.10, 0.09), (0.04, 0.02))
 WHITE = ((0.45, 0.45),) * 3
@@ -24,6 +25,7 @@ TREES = (
     ("green", GREEN, "sun and sky"),
     ("white", WHITE, "sun"),
     ("white", WHITE, "white sky"),
+    ("white", WHITE, BAKED),
 )
 SAMPLES = 4, 16, 64  # of Cycles
 FRAMES = 12
@@ -46,6 +48,7 @@ class Shot:
     block    pixels along the edge of the means that the error which counts is of
     ours     samples of our pictures: as many as Cycles has where the edges of leaves are the noise
     case     the medium, of a cloud
+    options  of ours that are not as the others'
     """
 
     name: str
@@ -57,6 +60,7 @@ class Shot:
     block: int = 1
     ours: tuple = (1, 4, 16)
     case: endtoend.Case | None = None
+    options: dict = field(default_factory=dict)
 
     @property
     def known_by(self):
@@ -98,13 +102,14 @@ def trees():
         def build(_folder, colors=colors, lights=lights):
             bpy.ops.wm.read_factory_settings(use_empty=True)
             objects = crowns.build(case, colors)
-            crowns.light(*LIGHTS[lights])
+            crowns.light(*LIGHTS[lights.removesuffix(", baked")])
             crowns.look(case, "lit")
             return objects
 
         facts = (colors, crowns.BARK, *crowns.SUN, crowns.IRRADIANCE, crowns.RADIANCE, lights)
-        name = f"{name} tree, {lights}"
-        yield Shot(name, "trees", build, facts, (32, 12, 4), 64, block=4, ours=SAMPLES)
+        name, options = f"{name} tree, {lights}", {"sky": True} if lights == BAKED else {}
+        scene = name, "trees", build, facts, (32, 12, 4), 64
+        yield Shot(*scene, block=4, ours=SAMPLES, options=options)
 
 
 # --- Smoke ---------------------------------------------------------------------------------------

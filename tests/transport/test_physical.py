@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import Cancelled, LightError, MediumError, SettingsError
-from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, device, solve, trace
+from lb_lighting.transport import (
+    Medium,
+    PointLight,
+    Settings,
+    Sky,
+    Sun,
+    device,
+    direct,
+    solve,
+    trace,
+)
 from tests.tracing import OPENCL, assert_same_light, name
 
 SHAPE, H = (6, 7, 5), 0.5  # voxels, m
@@ -202,6 +212,51 @@ def test_bands_are_those_of_a_solve_of_each():
         alone = solved(cloud(sigma_s[band]), [SUN, Sky(colour[band])], tolerance=EXACTLY)
         assert difference(field.fluence[band], alone.fluence[0]) < 1e-5
         assert difference(field.flux[band], alone.flux[0]) < 1e-5
+
+
+ALBEDO, WALL = np.array([0.9, 0.5, 0.0]), np.array([0.8, 0.4, 0.0])
+# Of three bands of one extinction: g, what walls reflect (on the border, too), and the casts of a
+# light in all of them.
+SHARING = {
+    "isotropic": (0.0, None, 1),
+    "forwards": (0.6, None, 1 + 3),  # without the forward peak they are bands of their own
+    "walls on the border": (0.0, WALL, 3),
+    "walls within": (0.0, WALL, 1),
+    "walls alike": (0.0, np.full(3, 0.6), 1),
+    "walls of several colours": (0.0, np.random.default_rng(7).random((3, *SHAPE)), 3),
+}
+
+
+@pytest.mark.parametrize("scattering", ["multiple", "single"])
+@pytest.mark.parametrize("irradiance", [(2.0, 0.5, 1.0), None], ids=["sun", "dome"])
+@pytest.mark.parametrize("kind", SHARING)
+def test_bands_that_light_meets_alike_share_its_rays(monkeypatch, kind, irradiance, scattering):
+    g, walls, casts = SHARING[kind]
+    if scattering == "single" and g > 0:  # nothing is handed over
+        casts = 1
+
+    def solved_in(bands):
+        optics = {"sigma_s": 2 * ALBEDO[bands], "sigma_a": 2 - 2 * ALBEDO[bands], "g": g}
+        medium = cloud(**optics) if walls is None else walled(walls[bands], **optics)
+        if kind == "walls within":
+            occlusion = np.pad(medium.occlusion[1:-1, 1:-1, 1:-1], 1)
+            medium = medium.altered(occlusion=occlusion)
+        light = SKY_BY_DIRECTION
+        if irradiance:
+            light = Sun((0.3, 0.2, -0.93), np.array(irradiance)[bands])
+        return solved(medium, [light], tolerance=EXACTLY, scattering=scattering)
+
+    cast, sent = direct.cast, []
+    monkeypatch.setattr(direct, "cast", lambda *args: sent.append(args) or cast(*args))
+    field = solved_in(slice(None))
+    assert len(sent) == casts
+    for band in range(3):
+        alone = solved_in(slice(band, band + 1))
+        for part in ("fluence", "direct", "flux", "direct_flux"):
+            one, other = getattr(field, part)[band], getattr(alone, part)[0]
+            assert np.allclose(one, other, rtol=1e-4, atol=1e-5 * np.abs(other).max())
+        for where, power in alone.report.energy.items():
+            assert field.report.energy[where][band] == pytest.approx(power[0], rel=1e-4, abs=1e-5)
 
 
 def test_a_dark_first_band_does_not_darken_the_others():
