@@ -23,7 +23,7 @@ from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
-from .tasks.light import FIELD, Light, Lit
+from .tasks.light import FIELD, Decided, Light, Lit
 from .transport.lights import Sky
 from .transport.medium import Optics
 
@@ -110,11 +110,11 @@ class Baking(Job):
 
     name, kept = "bake", "nothing was changed"
 
-    def __init__(self, context, objects, options, frames=None, settings=None, times=None):
+    def __init__(self, context, objects, options, frames=None, decided=None):
         """Read the scene and start; raises as `gather` does.
 
-        frames    the `Frames` that this is one of, or None
-        settings, times  of another frame, see `Light`, or None
+        frames   the `Frames` that this is one of, or None
+        decided  what another of them has `Decided`, or None
         """
         objects = sources_of(context.scene, objects)
         _refuse_unwritable(objects, options)
@@ -122,7 +122,7 @@ class Baking(Job):
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
         path = frames.path(context.scene.frame_current) if frames else None
-        super().__init__(gather(context, objects, options, path, settings, times))
+        super().__init__(gather(context, objects, options, path, decided))
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
@@ -179,12 +179,13 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, settings=None, times=None):
+def gather(context, objects, options, path=None, decided=None):
     """The task `Light` that the scene poses at the current frame.
 
-    path      of the file that it is to write, or None for one that is new
-    settings, times  of another frame, see `Light`, or None
+    path     of the file that it is to write, or None for one that is new
+    decided  what another frame has `Decided`, or None
     """
+    decided = decided or Decided()
     with _unhidden(context, objects):
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(
@@ -204,7 +205,9 @@ def gather(context, objects, options, path=None, settings=None, times=None):
         }
         shining = any(source.shines for source in sources)
         lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
-    whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
+    whole = decided.whole
+    if whole is None:
+        whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
     reader.notes.extend(
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
         "convert it to a mesh."
@@ -228,9 +231,8 @@ def gather(context, objects, options, path=None, settings=None, times=None):
             "sources": ", ".join(source.name for source in sources),
             "frame": context.scene.frame_current,
         },
-        settings=settings,
-        times=times,
         whole=whole,
+        decided=decided,
     )
 
 
@@ -243,7 +245,7 @@ def apply(context, objects, task, lit, frames=None):
     """
     how = task.options.strength, task.whole
     surfaces = [objects[number] for number in lit.ambient]
-    attribute.write_ambient(surfaces, list(lit.ambient.values()))
+    attribute.write_ambient(surfaces, list(lit.ambient.values()), task.whole)
     shown = _show_volume(context, objects, task, lit, frames)
     for ob in surfaces:
         modifier.remove_modifier(ob)
@@ -251,7 +253,7 @@ def apply(context, objects, task, lit, frames=None):
     for number in task.readers:
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
-        modifier.light_foliage(ob, shown)
+        modifier.light_foliage(ob, shown, task.whole)
         shading.light_surface(ob, *how)
         materials = [name and bpy.data.materials.get(name) for name in source.instanced]
         lit.notes.extend(shading.light_instances(ob, materials, *how))
@@ -260,22 +262,26 @@ def apply(context, objects, task, lit, frames=None):
 
 def _takes_sky(objects, sources, lights, notes):
     """Whether surfaces can show the sky's own light, too; if not, the notes say why."""
-    showing = {
-        source: ob for ob, source in zip(objects, sources, strict=True) if source.shows_light
-    }
+    showing = {s: ob for ob, s in zip(objects, sources, strict=True) if s.shows_light}
+    if not showing:
+        return False
     materials = [slot.material for ob in showing.values() for slot in ob.material_slots]
     names = {name for source in showing if source.is_foliage for name in source.instanced}
     materials += [bpy.data.materials.get(name) for name in names if name]
+    hindrance = shading.hindrance(materials)
     for hinders, reason in (
-        (not all(isinstance(light, Sky) for light in lights), "a lamp shines"),
+        (
+            not all(isinstance(light, Sky) for light in lights),
+            "a lamp, or a sun in the sky, shines",
+        ),
         (any(source.shines for source in sources), "fire shines"),
         (any(source.is_body for source in showing), "a solid shows light"),
-        (not shading.can_be_whole(materials), "a material has its shaders in a node group"),
+        (hindrance, hindrance),
     ):
         if hinders:
             notes.append(f"The sky's own light was not baked, for {reason}; Cycles adds it.")
             return False
-    return bool(showing)
+    return True
 
 
 def _is_read(source, options):

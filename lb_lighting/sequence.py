@@ -8,7 +8,7 @@ from .bake import Baking, folder_of, sources_of
 from .errors import OutputError, SceneError
 from .output import volume
 from .output.vdb import read_metadata
-from .tasks.light import ESSENCE, GATHERED
+from .tasks.light import ESSENCE, GATHERED, WHOLE, Decided
 
 MOVING = "Lamps move; each frame has its own light, but the shader has them as in the first frame."
 
@@ -42,8 +42,8 @@ class Sequence:
                 "again."
             )
         self.notes = {}  # in order, each once
-        self.ways = self.settings = None
-        self.times = _times(folder)
+        self.ways = None
+        self.decided = _decided(folder)
         try:
             self._start_next(context, objects)
         except BaseException:
@@ -97,9 +97,10 @@ class Sequence:
         self.ways = self.ways or ways
         if ways != self.ways:
             self.notes[MOVING] = None
-        if outcome.lit.plan:  # one plan for all: what differed from frame to frame would flicker
-            self.settings = outcome.lit.plan.settings
-        self.times = outcome.lit.times  # one material, too
+        lit, settings = outcome.lit, self.decided.settings
+        if lit.plan:  # one plan for all: what differed from frame to frame would flicker
+            settings = lit.plan.settings
+        self.decided = Decided(settings, lit.times, self.baking.task.whole)
         self.missing.pop(0)
         if self.missing:
             self._start_next(context, self.baking.found())
@@ -111,8 +112,7 @@ class Sequence:
         scene, shown = context.scene, context.scene.frame_current
         scene.frame_set(self.missing[0])
         try:
-            decided = self.settings, self.times
-            self.baking = Baking(context, objects, self.options, self.frames, *decided)
+            self.baking = Baking(context, objects, self.options, self.frames, self.decided)
         finally:
             scene.frame_set(shown)
 
@@ -146,9 +146,10 @@ def _is_alike(folder, options):
     return all(stamp.get(ESSENCE) == options.essence for stamp in _stamps(folder))
 
 
-def _times(folder):
-    """How often the light of the frames in `folder` was gathered; None where there is none."""
-    return next((stamp[GATHERED] for stamp in _stamps(folder)), None)
+def _decided(folder):
+    """What the frames in `folder` have `Decided`."""
+    stamp = next(_stamps(folder), {})
+    return Decided(times=stamp.get(GATHERED), whole=stamp.get(WHOLE))
 
 
 def _stamps(folder):

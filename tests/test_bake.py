@@ -338,11 +338,21 @@ class TestSky:
         assert light.max() < 1.05
         assert light[inner].mean() < 0.75 * light[~inner].mean()
 
-    @pytest.mark.parametrize("hinders", ["sun", "solid", "group"])
+    def test_the_papers_light_is_all_there_is(self, leaves):
+        bake_light(leaves, model="paper")
+        light = ambient(leaves)
+        bake_light(leaves, model="paper", sky=True)
+        assert np.array_equal(ambient(leaves), light)
+        assert "lb_whole" in leaves.data.attributes
+
+    @pytest.mark.parametrize("hinders", ["sun", "solid", "metal", "group"])
     def test_where_it_cannot_be_cycles_keeps_it_and_the_user_is_told(self, leaves, hinders):
         objects = [leaves]
         if hinders == "sun":
             scenery.add_sun()
+        elif hinders == "metal":
+            shader = leaves.active_material.node_tree.nodes["Principled BSDF"]
+            shader.inputs["Metallic"].default_value = 1
         elif hinders == "solid":
             material = scenery.leaf_material()
             objects.append(scenery.add_ball(role="SOLID", material=material))

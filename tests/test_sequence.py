@@ -175,3 +175,22 @@ def test_frames_of_one_material_are_gathered_alike(scene, fog):
     assert gathered(first=1, last=1, overwrite=True) == {first: 1}
     assert gathered(first=3, last=3) == {first: 1, last: 1}
     assert set(gathered(overwrite=True).values()) == {1}
+
+
+def test_frames_show_all_light_alike(scene, fog):
+    """Also those in which a lamp shines, too, and those that are baked later."""
+    sun = bpy.data.objects["sun"].data
+    for frame, energy in ((1, 0.0), (2, 3.0)):
+        sun.energy = energy
+        sun.keyframe_insert("energy", frame=frame)
+    scene.world = bpy.data.worlds.new("sky")
+    scene.lb_lighting.resolution = 8
+    leaves = scenery.add_leaves(count=20)
+
+    def whole(first, last):
+        bake_frames(leaves, first, last, sky=True, foliage="MODIFIER")
+        folder = baked_path(baked()).parent
+        return [read_metadata(folder / name)["whole"] for name in frames()]
+
+    assert whole(1, 1) == [True]
+    assert whole(1, 2) == [True, True]

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scattered light that falls on vertices, or wherever a modifier asks. Needs no Blender."""
+"""The light that falls on vertices, or wherever a modifier asks. Needs no Blender.
+
+It is the scattered light that a `Field` has as its fluence and flux, or all light, see
+`Field.with_unscattered`.
+"""
 
 import itertools
 from dataclasses import dataclass
@@ -10,6 +14,7 @@ from .vdb import AXES
 
 AMBIENT_ATTRIBUTE = "lb_ambient"
 BACK_ATTRIBUTE = "lb_ambient_back"
+WHOLE_ATTRIBUTE = "lb_whole"  # 1 where these are all light that there is
 OPEN_GRID = "lb_open"
 STAND_OFF = 0.75  # voxels in front of a wall: where its light is taken, not from its other side
 LEAST_OPEN = 1e-3  # share of the voxels around a point, below which it is dark
@@ -61,7 +66,7 @@ class Vertices:
 
 
 def irradiance(field, points, normals, occlusion=None):
-    """(front, back), each (n, bands) W/m^2: what falls on surfaces from the scattered light.
+    """(front, back), each (n, bands) W/m^2: what falls on surfaces from the light of a `Field`.
 
     points, normals  (n, 3) m and unit vectors, world space
     occlusion        (nx, ny, nz) or None: what of each voxel holds no light
@@ -105,7 +110,7 @@ def ambient_axis(axis):
 
 
 def ambient_grids(field, occlusion=None):
-    """{name: (bands, nx, ny, nz)}: what the modifier reads, of the scattered light in a `Field`.
+    """{name: (bands, nx, ny, nz)}: what the modifier reads, of the light in a `Field`.
 
     occlusion  (nx, ny, nz) of the medium, whose opaque voxels are dark, or None
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..errors import OutputError
 from ..scene.meshes import vertices
-from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, Vertices
+from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE, Vertices
 
 
 def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
@@ -13,10 +13,11 @@ def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
     return Vertices(*vertices(ob, depsgraph), is_body, is_wall)
 
 
-def write_ambient(objects, sides):
-    """Write the scattered light that falls on the mesh `objects`, at every vertex.
+def write_ambient(objects, sides, whole=False):
+    """Write the light that falls on the mesh `objects`, at every vertex.
 
     sides  for each of them what `Vertices.light` returns
+    whole  whether that is all light: then `lb_whole` (POINT, FLOAT) says so
 
     `lb_ambient` has the irradiance of the side that the normal points to, and `lb_ambient_back`
     that of the other, both divided by pi, in W/(m^2 sr): what a white surface sends out. The
@@ -35,6 +36,15 @@ def write_ambient(objects, sides):
         both = lights[0] if len(lights) == 1 else np.mean(lights, axis=0)
         for name, light in zip((AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), both, strict=True):
             _store(mesh, name, light)
+        _remove(mesh, WHOLE_ATTRIBUTE)
+        if whole:
+            mark = mesh.attributes.new(WHOLE_ATTRIBUTE, "FLOAT", "POINT")
+            mark.data.foreach_set("value", np.ones(len(mesh.vertices), np.float32))
+
+
+def is_whole(ob):
+    """True for a mesh object whose `lb_ambient` is all light."""
+    return has_ambient(ob) and WHOLE_ATTRIBUTE in ob.data.attributes
 
 
 def has_ambient(ob):
@@ -45,7 +55,7 @@ def has_ambient(ob):
 def remove_ambient(ob):
     """Take our attributes off the data of `ob`, if they are there."""
     if has_ambient(ob):
-        for name in (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE):
+        for name in (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE):
             _remove(ob.data, name)
 
 

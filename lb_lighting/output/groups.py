@@ -5,7 +5,7 @@
 import bpy
 
 from ..ours import TAG, find_ours
-from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, ambient_axis
+from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE, ambient_axis
 from .nodes import add_attribute, add_input, add_math, add_mix, add_node, add_output, add_vector
 from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid, moment_grid
 
@@ -74,7 +74,7 @@ def ambient_group():
 def rest_group():
     """What of a colour is left for the closure itself, where `LB Ambient` shows all light.
 
-    None for camera rays on what has `lb_ambient`, all elsewhere.
+    None for camera rays where `lb_whole` is 1 and there is ambient light, all elsewhere.
     """
     return our_group(REST_GROUP, _build_rest)
 
@@ -87,8 +87,12 @@ def our_group(name, build, kind="ShaderNodeTree"):
         tree[TAG] = name
     if tree.get(MADE) != VERSION:  # a file that an earlier version of ours has lit
         tree.nodes.clear()
-        tree.interface.clear()
+        old = list(tree.interface.items_tree)
+        for socket in old:
+            socket.description = ""
         build(tree)
+        for socket in [s for s in old if not s.description]:
+            tree.interface.remove(socket)
         tree[MADE] = VERSION
     return tree
 
@@ -296,18 +300,25 @@ def _build_rest(tree):
     add_input(tree, "Color", "Color", color, (0.8, 0.8, 0.8, 1.0))
     color = add_node(tree, "NodeGroupInput", -400, 200).outputs["Color"]
     camera = add_node(tree, "ShaderNodeLightPath", -600, 0).outputs["Is Camera Ray"]
-    # What a surface has not is black, but its alpha is 1.
-    names = AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE
-    sides = [add_attribute(tree, n, -800, -400 + 200 * i) for i, n in enumerate(names)]
-    both = add_vector(tree, "ADD", *(side.outputs["Vector"] for side in sides), -600, -300)
-    light = add_vector(tree, "LENGTH", both, (0, 0, 0), -400, -300)
-    own = add_math(tree, "GREATER_THAN", light, 0.0, -200, -300)
-    instance = add_attribute(tree, AMBIENT_ATTRIBUTE, -600, -500, of="INSTANCER").outputs["Alpha"]
-    lit = add_math(tree, "MAXIMUM", own, instance, -400, -500)
-    shown = add_math(tree, "MULTIPLY", camera, lit, -200, 0)
-    left = add_math(tree, "SUBTRACT", 1.0, shown, 0, 0)
-    rest = add_vector(tree, "SCALE", color, left, 200, 100)
-    output = add_node(tree, "NodeGroupOutput", 400, 100)
+    hidden = 0.0
+    for of, names, y in (
+        ("GEOMETRY", (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), -200),
+        ("INSTANCER", (AMBIENT_ATTRIBUTE,), -900),
+    ):
+        light = (0, 0, 0)
+        for name in names:
+            y -= 200
+            own = add_attribute(tree, name, -1000, y, of).outputs["Vector"]
+            light = add_vector(tree, "ADD", own, light, -800, y)
+        length = add_vector(tree, "LENGTH", light, (0, 0, 0), -600, y)
+        there = add_math(tree, "GREATER_THAN", length, 0.0, -400, y)
+        whole = add_attribute(tree, WHOLE_ATTRIBUTE, -400, y + 200, of).outputs["Factor"]
+        there = add_math(tree, "MULTIPLY", there, whole, -200, y)
+        hidden = add_math(tree, "MAXIMUM", there, hidden, 0, y)
+    shown = add_math(tree, "MULTIPLY", camera, hidden, 0, 0)
+    left = add_math(tree, "SUBTRACT", 1.0, shown, 200, 0)
+    rest = add_vector(tree, "SCALE", color, left, 400, 100)
+    output = add_node(tree, "NodeGroupOutput", 600, 100)
     tree.links.new(rest, output.inputs["Color"])
 
 

@@ -5,28 +5,47 @@
 is then: what is animated, scattered or instanced is lit anew, and the mesh stays as it is. It
 stores on points what `attribute.write_ambient` writes, `lb_ambient` and `lb_ambient_back`. On an
 instance it stores what falls on a surface of any direction there: `lb_ambient` of the mean of both
-sides, and `lb_ambient_x`, `_y`, `_z`, from which `LB Ambient` finds the light of each side.
+sides, and `lb_ambient_x`, `_y`, `_z`, from which `LB Ambient` finds the light of each side. Where
+that is all light, `lb_whole` is 1 on either.
 """
 
 from ..ours import TAG, is_ours
-from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, LEAST_OPEN, OPEN_GRID, ambient_axis
+from .ambient import (
+    AMBIENT_ATTRIBUTE,
+    BACK_ATTRIBUTE,
+    LEAST_OPEN,
+    OPEN_GRID,
+    WHOLE_ATTRIBUTE,
+    ambient_axis,
+)
 from .groups import ANY, our_group
 from .nodes import add_input, add_math, add_node, add_output, add_vector
 from .vdb import AXES
 
 GRID_GROUP = "LB Ambient Grid"
+WHOLE = "All Light"  # its input
 
 
-def light_foliage(ob, baked):
+def light_foliage(ob, baked, whole=False):
     """Give the mesh object `ob` the modifier that reads the Volume object `baked`, once, as the
-    last of its modifiers; the user's values of its other inputs stay."""
+    last of its modifiers; the user's values of its other inputs stay.
+
+    whole  whether what it reads is all light
+    """
     modifier = _find(ob)
     if modifier is None:
         modifier = ob.modifiers.new(GRID_GROUP, "NODES")
         modifier.node_group = grid_group()
         modifier.use_pin_to_last = True
-    volume = modifier.node_group.interface.items_tree["Volume"]
-    getattr(modifier.properties.inputs, volume.identifier).value = baked
+    modifier.node_group = grid_group()  # which an older file may have as it was then
+    _input(modifier, "Volume").value = baked
+    _input(modifier, WHOLE).value = whole
+
+
+def is_whole(ob):
+    """True for an object that `light_foliage` gave all light."""
+    modifier = _find(ob)
+    return modifier is not None and bool(_input(modifier, WHOLE).value)
 
 
 def has_modifier(ob):
@@ -39,6 +58,11 @@ def remove_modifier(ob):
     modifier = _find(ob)
     if modifier is not None:
         ob.modifiers.remove(modifier)
+
+
+def _input(modifier, name):
+    socket = modifier.node_group.interface.items_tree[name]
+    return getattr(modifier.properties.inputs, socket.identifier)
 
 
 def _find(ob):
@@ -65,8 +89,9 @@ def _build(tree):
         "Off: keep them; all of an instance has the light at its origin"
     )
     add_input(tree, "Realize Instances", "Bool", realize, False)
+    add_input(tree, WHOLE, "Bool", "On: the baked light is all light, the sky's own, too", False)
     group = add_node(tree, "NodeGroupInput", -1800, 0)
-    geometry, baked, strength, realize = group.outputs[:4]
+    geometry, baked, strength, realize, whole = group.outputs[:5]
 
     geometry = _realized(tree, geometry, realize)
     parts = add_node(tree, "GeometryNodeSeparateComponents", -1000, 400)
@@ -77,6 +102,8 @@ def _build(tree):
     for number, (name, value) in enumerate(light.items()):
         x = 600 + 200 * number
         instances = _store(tree, instances, name, value, x, 700, domain="INSTANCE")
+    mesh = _store(tree, mesh, WHOLE_ATTRIBUTE, whole, 1200, 300, kind="FLOAT")
+    instances = _store(tree, instances, WHOLE_ATTRIBUTE, whole, 1400, 700, "INSTANCE", "FLOAT")
 
     join = add_node(tree, "GeometryNodeJoinGeometry", 1500, 400)
     others = [s for s in parts.outputs if s.enabled and s.name not in ("Mesh", "Instances")]
@@ -177,9 +204,9 @@ def _store_sides(tree, mesh, light, normal):
     return mesh
 
 
-def _store(tree, geometry, name, value, x, y, domain="POINT"):
+def _store(tree, geometry, name, value, x, y, domain="POINT", kind="FLOAT_COLOR"):
     node = add_node(tree, "GeometryNodeStoreNamedAttribute", x, y)
-    node.data_type, node.domain = "FLOAT_COLOR", domain
+    node.data_type, node.domain = kind, domain
     node.inputs["Name"].default_value = name
     tree.links.new(geometry, node.inputs["Geometry"])
     tree.links.new(value, node.inputs["Value"])

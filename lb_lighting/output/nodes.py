@@ -23,8 +23,16 @@ def add_output(tree, name, kind, description):
 
 
 def _add_socket(tree, name, in_out, kind, description):
-    kind = f"NodeSocket{kind}"
-    return tree.interface.new_socket(name, description=description, in_out=in_out, socket_type=kind)
+    """One that is there already keeps what is linked to it; those of an older version, which have
+    no description, come last."""
+    interface, kind = tree.interface, f"NodeSocket{kind}"
+    before = list(interface.items_tree)
+    facts = name, in_out, kind
+    same = (s for s in before if (s.name, s.in_out, s.bl_socket_idname) == facts)
+    socket = next(same, None) or interface.new_socket(name, in_out=in_out, socket_type=kind)
+    interface.move(socket, sum(bool(other.description) for other in before))
+    socket.description = description
+    return socket
 
 
 def add_node(tree, kind, x, y):

@@ -20,6 +20,7 @@ import bpy
 from ..errors import OutputError
 from ..ours import TAG, find_ours, give_back, is_ours, is_overridden, override
 from ..transport.lights import Sun
+from . import attribute, modifier
 from .attribute import has_ambient
 from .groups import (
     AMBIENT_GROUP,
@@ -120,6 +121,7 @@ def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength
     lobes             mean cosine, scalar or (3,), of what `forward_grid`s are scattered to, where
                       that was gathered and the file has each `moment_grid`
     """
+    volume_group()  # one that an older file has is brought up to date
     material = _volume_material(ob.data)
     nodes = material.node_tree.nodes
     for node in [node for node in nodes if is_ours(node)]:
@@ -146,37 +148,38 @@ def wire_ambient(material, strength=1.0, whole=False):
     """Add ambient light to what `material` shows; a second call updates it.
 
     strength  factor on the light, dimensionless
-    whole     whether it is all light: then camera rays find no other that is scattered diffusely
+    whole     whether some of what it is on shows all light: then camera rays find there no other
+              that is scattered diffusely
 
     Each diffuse closure emits its own colour, and its own alpha, times the light of the side that
     is seen, or of the other where it is translucent; others stay as they are. Raises OutputError
     for a material that cannot be edited.
     """
     _refuse_linked(material)
-    unwire_ambient(material)
     tree = material.node_tree
+    # Others that it is on may still need it, and it does no harm to the rest.
+    whole = whole or (bool(_ours(tree, REST_GROUP)) and any(map(_is_whole, bpy.data.objects)))
+    unwire_ambient(material)
     for closure, targets in _diffuse_closures(tree).items():
         _insert_ambient(tree, closure, targets, strength)
         if whole and "Color" in AMBIENT_INPUTS[closure.node.type]:
             _insert_rest(tree, closure.node)
-    if _ambient_nodes(material) and hasattr(material, "cycles"):
+    if _ours(tree, AMBIENT_GROUP) and hasattr(material, "cycles"):
         override(material, "cycles.emission_sampling", "NONE")
 
 
 def unwire_ambient(material):
     """Take ambient light out of `material` and leave it as it was before `wire_ambient`."""
     tree = material.node_tree
-    for node in _ambient_nodes(material):
+    for node in _ours(tree, AMBIENT_GROUP):
         closure = _source(node.inputs["Shader"])
         for target in [link.to_socket for link in node.outputs[0].links]:
             if closure:
                 tree.links.new(closure, target)
         tree.nodes.remove(node)
-    for node in [node for node in tree.nodes if node.get(TAG) == REST_GROUP]:
-        color = _source(node.inputs["Color"])
+    for node in _ours(tree, REST_GROUP):
         for target in [link.to_socket for link in node.outputs[0].links]:
-            if color:
-                tree.links.new(color, target)
+            _hand_on(tree, node.inputs["Color"], target)
         tree.nodes.remove(node)
     give_back(material)
 
@@ -189,13 +192,26 @@ def refuse_unwritable(objects):
                 _refuse_linked(slot.material)
 
 
-def can_be_whole(materials):
-    """Whether `wire_ambient` can take away what diffuse closures of the `materials` show
-    themselves: not those in a user's own groups."""
+def hindrance(materials):
+    """Why `wire_ambient` cannot take away what the `materials` scatter diffusely themselves, or
+    None."""
     trees = [material.node_tree for material in materials if material and material.node_tree]
-    closures = [closure.node for tree in trees for closure in _diffuse_closures(tree)]
-    closures = [_source(c.inputs["Shader"]).node if is_ours(c) else c for c in closures]
-    return all("Color" in AMBIENT_INPUTS[closure.type] for closure in closures)
+    shaders = {closure.node for tree in trees for closure in _diffuse_closures(tree)}
+    shaders |= {
+        link.from_node
+        for shader in shaders
+        if is_ours(shader)
+        for link in _closure_links(shader.inputs["Shader"])
+    }
+    shaders = [shader for shader in shaders if not is_ours(shader)]
+    if any(shader.type == "GROUP" for shader in shaders):
+        return "a material has its shaders in a node group"
+    # What mirrors, or lets through, takes its colour from the same input.
+    own = [shader for shader in shaders if shader.type == "BSDF_PRINCIPLED"]
+    weights = [s.inputs[name] for s in own for name in ("Metallic", "Transmission Weight")]
+    if any(weight.is_linked or weight.default_value > 0 for weight in weights):
+        return "a material is of metal or glass"
+    return None
 
 
 def light_surface(ob, strength=1.0, whole=False):
@@ -219,6 +235,10 @@ def light_instances(ob, materials, strength=1.0, whole=False):
     return [
         f"Some instances of '{ob.name}' show no light; give them materials that are not linked."
     ]
+
+
+def _is_whole(ob):
+    return attribute.is_whole(ob) or modifier.is_whole(ob)
 
 
 def is_lit(ob):
@@ -297,8 +317,9 @@ def _active_outputs(tree):
     return [output for output in outputs if output]
 
 
-def _ambient_nodes(material):
-    return [node for node in material.node_tree.nodes if node.get(TAG) == AMBIENT_GROUP]
+def _ours(tree, tag):
+    """Our nodes of a tree that have a tag."""
+    return [node for node in tree.nodes if node.get(TAG) == tag]
 
 
 def _source(socket):
@@ -356,8 +377,17 @@ def _insert_rest(tree, shader):
     node.name = node.label = node[TAG] = REST_GROUP
     node.parent = shader.parent
     node.location = shader.location.x - node.width - 20, shader.location.y
-    _imitate(tree, node.inputs["Color"], socket)
+    _hand_on(tree, socket, node.inputs["Color"])
     tree.links.new(node.outputs["Color"], socket)
+
+
+def _hand_on(tree, socket, target):
+    """Give the input `target` the value of the input `socket`, and its link, muted or not."""
+    target.default_value = socket.default_value
+    for link in list(target.links):
+        tree.links.remove(link)
+    for link in socket.links:
+        tree.links.new(link.from_socket, target).is_muted = link.is_muted
 
 
 def _imitate(tree, socket, model):

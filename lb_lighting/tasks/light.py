@@ -21,12 +21,28 @@ from ..transport.solver import Settings, require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
-# In the file's metadata: of the options; and how often its light was gathered.
-ESSENCE, GATHERED = "essence", "gathered"
+# In the file's metadata: of the options; how often its light was gathered;
+# and whether surfaces show all light.
+ESSENCE, GATHERED, WHOLE = "essence", "gathered", "whole"
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
 PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
 GATHER = 0.4  # and where the solve ends, where light is gathered then
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What all frames of a sequence have in common, since they share materials; None where it is
+    for this frame to decide.
+
+    settings  `Settings` that it is solved by
+    times     that light is gathered
+    whole     whether surfaces show all light, see `Light`
+    """
+
+    settings: Settings | None = None
+    times: int | None = None
+    whole: bool | None = None
 
 
 @dataclass
@@ -84,9 +100,8 @@ class Light:
     readers   [number of the source] of those whose light a modifier reads from the file
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
-    settings  `Settings` that another frame was planned to have, or None
-    times     that the light of another frame was gathered, or None
     whole     whether surfaces are to show all light, unscattered light, too
+    decided   what another frame has `Decided`
     """
 
     options: Options
@@ -98,9 +113,8 @@ class Light:
     readers: list
     path: str
     facts: dict
-    settings: Settings | None = None
-    times: int | None = None
     whole: bool = False
+    decided: Decided = Decided()
 
     @property
     def scraps(self):
@@ -119,8 +133,8 @@ class Light:
 
     def _settings(self, problem, tell):
         """(`Settings`, the `Plan` that they are of or None)."""
-        if self.settings is not None:
-            return self.settings, None
+        if self.decided.settings is not None:
+            return self.decided.settings, None
         if not self.options.is_planned:
             return self.options.settings(), None
         tell(stage="Planning", fraction=PLAN)
@@ -217,8 +231,8 @@ class Light:
 
     def gathers(self, problem, settings):
         """How many times a `Problem` that is solved by `Settings` has its light gathered."""
-        if self.times is not None:  # frames share a material
-            return self.times
+        if self.decided.times is not None:
+            return self.decided.times
         wished = self.options.gather and settings.model == "physical"
         volumes = any(source.is_volume for source in self.sources)
         several = settings.scattering == "multiple"
@@ -273,7 +287,8 @@ class Light:
         )
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
-        stamp = self._stamp(problem.medium, field.report) | {GATHERED: _times(field)}
+        stamp = self._stamp(problem.medium, field.report)
+        stamp |= {GATHERED: _times(field), WHOLE: self.whole}
         if planned is not None:
             stamp["expected_error"] = planned.error
         write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)

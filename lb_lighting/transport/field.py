@@ -152,7 +152,9 @@ class Field:
     scattered: Scattered | None = None
 
     def with_unscattered(self):
-        """The same, but `fluence` and `flux` count all light."""
+        """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""
+        if self.direct_flux is None:
+            return self
         fluence, flux = self.fluence + self.direct, self.flux + self.direct_flux
         return replace(self, fluence=fluence, flux=flux)
 

@@ -7,7 +7,7 @@ says what they neglect.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from math import inf, isinf, prod
 
 import numpy as np
@@ -296,9 +296,9 @@ class _Work:
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
-        lit_before = set()
-        for some, together in _together(runs):
-            self.share = (1 - begun) * len(together) / len(runs)
+        lit_before, rest = set(), 1 - begun
+        for some, together in _together(runs, medium.sigma_t):
+            self.share = rest * len(together) / len(runs)
             self.begun, begun = begun, begun + self.share
             lit = {
                 band: _Band.dark(field, band, some, in_place=band not in lit_before)
@@ -455,10 +455,7 @@ class _Work:
         radiance = float(by_band(rays.light.radiance, medium.bands)[band])
         # More is an error of the rays, and would be left to less scattered light than none.
         np.minimum(unscattered.direct, 4 * np.pi * radiance, out=unscattered.direct)
-        absorbing = medium.sigma_a[band] * medium.density
-        dark = Emission(medium.altered(emission=4 * np.pi * radiance * absorbing))
-        dark = _Rays(self, medium, rays.box, dark)
-        cast, share, straight = self._cast_forward(dark, band, None)
+        cast, share, straight = self._cast_forward(rays.missing, band, None)
         handover.add(cast.collided, -share, straight)
         lit.fluence += 4 * np.pi * radiance - cast.direct - unscattered.direct
         lit.flux -= cast.flux + unscattered.flux
@@ -557,6 +554,16 @@ class _Rays:
         self.sent[peaked] = sigma_t, band, found
         return found
 
+    @cached_property
+    def missing(self):
+        """The `_Rays` of what the medium would radiate if it gave back all that it absorbs of a
+        uniform sky."""
+        radiance = by_band(self.light.radiance, self.medium.bands)
+        absorbed = 4 * np.pi * radiance * self.medium.sigma_a
+        emission = absorbed[:, None, None, None] * self.medium.density
+        emitting = Emission(self.medium.altered(emission=emission))
+        return _Rays(self.work, self.medium, self.box, emitting)
+
     def _factors(self, band, base):
         """How many times more light of a band there is, and is reflected by what is opaque; None
         where that is no number."""
@@ -621,14 +628,17 @@ def _on_border(grid):
     return any(grid.take((0, -1), axis).any() for axis in range(3))
 
 
-def _together(runs):
-    """[(numbers of lights, {band: its multiples})]: the runs of the same lights after each other.
+def _together(runs, sigma_t):
+    """[(numbers of lights, {band: its multiples})]: runs after each other that may share rays.
 
-    But not of bands that were lit before, which take memory of their own.
+    These are of the same lights and one extinction, and of bands that were not lit before, which
+    would take memory of their own.
     """
     found, lit_before = [], set()
     for band, multiples, numbers in runs:
-        if band in lit_before or not found or found[-1][0] != numbers:
+        last = next(iter(found[-1][1])) if found else band
+        alike = np.isclose(sigma_t[band], sigma_t[last], rtol=_ALIKE, atol=0)
+        if band in lit_before or not found or found[-1][0] != numbers or not alike:
             found.append((numbers, {}))
         found[-1][1][band] = multiples
         lit_before |= set(multiples)

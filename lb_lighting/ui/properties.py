@@ -212,8 +212,8 @@ class SceneProperties(bpy.types.PropertyGroup):
     sky: BoolProperty(
         name="Bake Sky",
         description="Where the world alone shines, take its own light into what surfaces show: "
-        "pictures need a third of the samples and hardly flicker. Only what is lit casts a shadow "
-        "in it, and none that is finer than a voxel",
+        "pictures need a quarter of the samples and hardly flicker. Only what is lit casts a "
+        "shadow in it, and none that is finer than a voxel",
     )
     strength: FloatProperty(
         name="Strength", description="Factor on the light in the render", default=1, min=0

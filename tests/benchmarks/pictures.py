@@ -52,8 +52,8 @@ def _processor_time():
     return sum(sum(resource.getrusage(who)[:2]) for who in everybody)
 
 
-def picture(samples, bounces=None, seed=0, denoise=False, meter=None):
-    """(SIZE, SIZE, 3) linear radiance of the scene by Cycles, row 0 at the bottom.
+def picture(samples, bounces=None, seed=0, denoise=False, meter=None, size=SIZE):
+    """(size, size, 3) linear radiance of the scene by Cycles, row 0 at the bottom.
 
     bounces  of every kind, or None for those of the scene
     Nothing is clamped or left out, and all pixels have the same number of samples.
@@ -66,28 +66,28 @@ def picture(samples, bounces=None, seed=0, denoise=False, meter=None):
     cycles.sample_clamp_indirect = cycles.light_sampling_threshold = 0
     cycles.seed = seed
     with TemporaryDirectory() as folder, silent_stdout(), (meter or Meter())():
-        return render(scene, Path(folder) / "picture.exr", SIZE, samples, denoise)
+        return render(scene, Path(folder) / "picture.exr", size, samples, denoise)
 
 
-def reference(facts, build, samples, bounces):
-    """(2, SIZE, SIZE, 3): pictures of the scene that `build()` makes, by two seeds.
+def reference(facts, build, samples, bounces, size=SIZE):
+    """(2, size, size, 3): pictures of the scene that `build()` makes, by two seeds.
 
     facts  (name, whatever else the picture depends on); they are rendered once for the same facts
     """
     name = facts[0].replace(",", "").replace(" ", "-")
-    path = REFERENCES / f"render-{name}-{digest(facts, samples, bounces)}.npz"
+    path = REFERENCES / f"render-{name}-{digest(facts, samples, bounces, size)}.npz"
     if not path.exists():
         build()
-        halves = [picture(samples, bounces, seed) for seed in SEEDS]
+        halves = [picture(samples, bounces, seed, size=size) for seed in SEEDS]
         REFERENCES.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, halves=np.array(halves, np.float32))
     with np.load(path) as file:
         return file["halves"].astype(float)
 
 
-def digest(facts, samples, bounces):
+def digest(facts, samples, bounces, size=SIZE):
     """Stands for all that a reference depends on."""
-    return hashlib.sha256(repr((facts, samples, bounces, SIZE, SEEDS)).encode()).hexdigest()[:8]
+    return hashlib.sha256(repr((facts, samples, bounces, size, SEEDS)).encode()).hexdigest()[:8]
 
 
 def stored(facts, halves, samples, bounces):

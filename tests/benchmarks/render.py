@@ -3,11 +3,11 @@
 
     python -m tests.benchmarks.render [PART ...]
 
-PART is clouds, trees, smoke, teapot, flicker, turning, mitsuba, forward, around, or the name of a
-scene; default: all. Ours is what Bake makes with the quality Custom, whose defaults are the lattice
-alone in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is rendered
-with several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and its cost
-by start + each n, which gives its time at any error.
+PART is clouds, trees, smoke, teapot, large, flicker, turning, mitsuba, forward, around, or the name
+of a scene; default: all. Ours is what Bake makes with the quality Custom, whose defaults are the
+lattice alone in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is
+rendered with several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and
+its cost by start + each n, which gives its time at any error.
 Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
@@ -38,7 +38,9 @@ FULL = 1920 * 1080 / pictures.SIZE**2  # the pixels of a full picture, over thos
 FLICKER = 4  # samples of ours where pictures move
 FEW = 16  # of either half of the references of those
 MANY = 65  # of a picture that tells what each costs: fewer are lost in what the start costs
-TURNING = ("green tree, sun and sky", "white tree, sun", "white tree, white sky, baked")
+LARGE, LARGE_HALF = 512, 128  # pixels along an edge; samples of either half of the reference
+LOOSE = 0.1  # error of pixels
+TREES = ("green tree, sun and sky", "white tree, sun", "white tree, white sky, baked")
 STEP = 0.05  # rad from view to view
 MITSUBA = 32  # samples of either of its pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
@@ -242,6 +244,52 @@ def summary(rows):
     }
 
 
+# --- Trees whose leaves are larger than pixels ---------------------------------------------------
+
+
+def large():
+    """[row]: processor time to an error of LOOSE, of the pixels of pictures of trees."""
+    return [large_row(shot) for shot in shots.shots() if shot.name in TREES]
+
+
+def large_row(shot):
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        halves = pictures.reference(
+            shot.known_by, lambda: shot.build(folder), LARGE_HALF, shot.bounces[0], LARGE
+        )
+
+        def rows(bounces=None):
+            pictures.picture(1, bounces, size=LARGE)
+            for samples in shots.SAMPLES:
+                meter = pictures.Meter()
+                image = pictures.picture(samples, bounces, samples, meter=meter, size=LARGE)
+                yield figures(image, halves, 1) | cost("", samples, meter)
+
+        shot.build(folder)
+        cycles = Fit.of(list(rows(shot.bounces[1])))
+        baked(shot, folder)
+        baking = baked(shot, folder)[0].processor
+        found = list(rows())
+    ours = Fit.of(found)
+    ratios = {
+        views: cycles.seconds(LOOSE, views) / (baking + ours.seconds(LOOSE, views))
+        for views in (1, VIEWS)
+    }
+    return {
+        "scene": shot.name,
+        "our error": found[-1]["error"],
+        "our mean": found[-1]["mean"],
+        "bake, s": baking,
+        "a picture, s": ours.seconds(LOOSE),
+        "samples": ours.samples(LOOSE),
+        "Cycles, s": cycles.seconds(LOOSE),
+        "its samples": cycles.samples(LOOSE),
+        "ratio": ratios[1],
+        f"{VIEWS} views": ratios[VIEWS],
+    }
+
+
 # --- Frames -------------------------------------------------------------------------------------
 
 
@@ -287,7 +335,7 @@ def moving(found, halves):
 
 def turning():
     """[row]: trees that the camera goes around, baked once, in as much time with the bake in it."""
-    shown = [shot for shot in shots.shots() if shot.name in TURNING]
+    shown = [shot for shot in shots.shots() if shot.name in TREES]
     return [{"scene": shot.name} | row for shot in shown for row in turned(shot)]
 
 
@@ -421,6 +469,7 @@ def around():
 
 
 PARTS = {
+    "large": large,
     "flicker": flicker,
     "turning": turning,
     "mitsuba": opinions,

@@ -47,10 +47,12 @@ def curves(group, scenes):
     lines = -(-len(scenes) // columns)
     size = (4.2 * columns, 3 * lines + 0.4)
     figure, panels = plt.subplots(lines, columns, figsize=size, squeeze=False)
-    for panel, (scene, rows) in zip(panels.ravel(), scenes.items(), strict=True):
+    for panel, (scene, rows) in zip(panels.ravel(), scenes.items(), strict=False):
         draw(panel, rows)
         panel.set_title(scene, fontsize=8)
-    for panel in panels[-1]:
+    for panel in panels.ravel()[len(scenes) :]:
+        panel.set_axis_off()
+    for panel in panels.ravel()[: len(scenes)][-columns:]:
         panel.set_xlabel("processor time, s", fontsize=8)
     for panel in panels[:, 0]:
         panel.set_ylabel("error", fontsize=8)

@@ -20,6 +20,14 @@ def white(kind):
     return material
 
 
+def shine(radiance):
+    """A sky that is the same everywhere."""
+    bpy.context.scene.world = bpy.data.worlds.new("sky")
+    nodes = bpy.context.scene.world.node_tree.nodes
+    background = next(node for node in nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (radiance,) * 3 + (1,)
+
+
 def square(material):
     """An upright square of 2 m whose normal points to the camera, along -y."""
     mesh = bpy.data.meshes.new("square")
@@ -67,15 +75,19 @@ def instance(ob):
 @pytest.mark.parametrize("engine", ["BLENDER_EEVEE", "CYCLES"])
 @pytest.mark.parametrize("kind", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"])
 @pytest.mark.parametrize("instanced", [False, True])
-def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced):
+@pytest.mark.parametrize("whole", [False, True], ids=["dark", "sky"])
+def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced, whole):
+    """Under a sky, too, whose own light is not added to what is all light."""
     ob = square(white(kind))
-    part(lb, "output.shading").wire_ambient(ob.active_material)
+    if whole:
+        shine(0.5)
+    part(lb, "output.shading").wire_ambient(ob.active_material, whole=whole)
     lit = instance(ob) if instanced else ob
-    part(lb, "output.modifier").light_foliage(lit, baked(lb, tmp_path / "a.vdb"))
+    part(lb, "output.modifier").light_foliage(lit, baked(lb, tmp_path / "a.vdb"), whole)
     camera(target=(0, 0, 0), width=1)
     # The flux goes to the seen side of what reflects, and leaves that of what lets through.
     sign = 1 if kind == "ShaderNodeBsdfDiffuse" else -1
-    picture = render(tmp_path / f"{engine}_{kind}_{instanced}.exr", engine, size=16)
+    picture = render(tmp_path / f"{engine}_{kind}_{instanced}_{whole}.exr", engine, size=16)
     expected = MEAN + sign * FLUX / (2 * np.pi)
     assert picture[8, 8, :3] == pytest.approx(expected, rel=0.01)
 

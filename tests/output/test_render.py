@@ -368,7 +368,7 @@ def light_plane(ob, radiance, flux=0.0, whole=False):
     upwards[:, 2] = flux
     field = Field(BOX, fluence, 0 * fluence, upwards, Report("physical", "none"))
     vertices = read_vertices(ob, bpy.context.evaluated_depsgraph_get())
-    write_ambient([ob], [vertices.light(field)])
+    write_ambient([ob], [vertices.light(field)], whole)
     wire_ambient(ob.active_material, strength=2.0, whole=whole)
 
 

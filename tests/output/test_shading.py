@@ -8,18 +8,23 @@ import pytest
 
 from lb_lighting.errors import OutputError
 from lb_lighting.ours import is_ours
-from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
+from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE, write_ambient
 from lb_lighting.output.groups import (
     AMBIENT_GROUP,
     BEAM_GROUP,
+    MADE,
+    REST_GROUP,
+    VERSION,
     VOLUME_GROUP,
     ambient_group,
+    beam_group,
+    rest_group,
     volume_group,
 )
 from lb_lighting.output.modifier import GRID_GROUP, grid_group
 from lb_lighting.output.shading import (
-    can_be_whole,
     hide_source,
+    hindrance,
     light_surface,
     prepare_scene,
     remove_unused,
@@ -34,6 +39,7 @@ from lb_lighting.output.shading import (
 from lb_lighting.output.vdb import AXES
 from lb_lighting.output.volume import remove_baked, show_volume
 from lb_lighting.scene.materials import leaf_optics
+from tests.output.rendering import plane
 from tests.scenery import source
 
 
@@ -127,6 +133,14 @@ def user_group(material, kind):
     return node
 
 
+def muted():
+    """A texture whose link is switched off."""
+    material = textured()
+    links = material.node_tree.links
+    next(link for link in links if link.to_socket.name == "Base Color").is_muted = True
+    return material
+
+
 def grouped():
     material = new_material()[0]
     return show(material, user_group(material, "ShaderNodeBsdfDiffuse").outputs[0])
@@ -189,7 +203,18 @@ def circular():
 
 
 LEFT_ALONE = [glassy, unlinked_surface, empty]
-WIRED = [principled, textured, mixed, cut_out, shared, grouped, two_engines, framed, circular]
+WIRED = [
+    principled,
+    textured,
+    muted,
+    mixed,
+    cut_out,
+    shared,
+    grouped,
+    two_engines,
+    framed,
+    circular,
+]
 
 
 def plain(value):
@@ -330,10 +355,86 @@ def test_a_second_call_updates():
     assert inputs["Color"].default_value[:3] == pytest.approx((0.7, 0.6, 0.5))
 
 
-def test_only_groups_of_the_user_cannot_be_whole():
-    possible = {graph: can_be_whole([graph(), None]) for graph in WIRED + LEFT_ALONE}
-    assert [graph for graph, can in possible.items() if not can] == [grouped]
-    assert not can_be_whole([principled(), grouped()])
+def metal():
+    material = principled()
+    material.node_tree.nodes["Principled BSDF"].inputs["Metallic"].default_value = 0.5
+    return material
+
+
+def mix_behind(material):
+    """What a user may put between a closure and our node."""
+    node = ambients(material)[0]
+    glossy = colored(material, "ShaderNodeBsdfGlossy", (1, 1, 1))
+    mix = mix_shader(material, node.inputs["Shader"].links[0].from_socket, glossy)
+    material.node_tree.links.new(mix, node.inputs["Shader"])
+
+
+def delete_behind(material):
+    node = ambients(material)[0]
+    material.node_tree.nodes.remove(node.inputs["Shader"].links[0].from_node)
+
+
+@pytest.mark.parametrize("change", [None, lambda _material: None, mix_behind])
+def test_what_hinders_a_material_to_show_all_light(change):
+    hindered = set()
+    for graph in (*WIRED, *LEFT_ALONE, metal):
+        material = graph()
+        if change and graph not in LEFT_ALONE:
+            wire_ambient(material)
+            change(material)
+        if hindrance([None, principled(), material]):
+            hindered.add(graph)
+    assert hindered == {grouped, metal}
+
+
+def test_what_has_lost_its_closure_hinders_nothing():
+    material = principled()
+    wire_ambient(material)
+    delete_behind(material)
+    assert hindrance([material]) is None
+
+
+def test_a_colour_that_was_changed_meanwhile_stays():
+    material = principled()
+    wire_ambient(material, whole=True)
+    color = material.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    color.links[0].from_node.inputs["Color"].default_value = (1, 0, 0, 1)
+    unwire_ambient(material)
+    assert color.default_value[:] == (1, 0, 0, 1)
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_what_another_object_shows_keeps_its_way(needed):
+    """Two objects share a material; one shows all light, the other is lit anew without the sky."""
+    material = principled()
+    objects = [plane(z, 1, material) for z in (0, 1)]
+    light = np.ones((2, 4, 4), np.float32)
+    write_ambient(objects[:1], [light], whole=needed)
+    wire_ambient(material, whole=True)
+    write_ambient(objects[1:], [light])
+    wire_ambient(material)
+    assert any(n.name.startswith(REST_GROUP) for n in material.node_tree.nodes) is needed
+
+
+def test_groups_of_an_older_version_stay_linked():
+    """Also in materials that are not wired anew, and in the group that holds another."""
+    materials = principled(), mixed()
+    for material in materials:
+        wire_ambient(material, whole=True)
+    makers = ambient_group, beam_group, rest_group, volume_group, grid_group
+    groups = [make() for make in makers]
+
+    def seen():
+        sockets = [[(s.name, s.in_out) for s in g.interface.items_tree] for g in groups]
+        return sockets, [len(g.links) for g in groups], [dump(material) for material in materials]
+
+    before = seen()
+    for group in groups:
+        group[MADE] = VERSION - 1
+        group.interface.new_socket("Gone", in_out="INPUT", socket_type="NodeSocketFloat")
+    for make in makers:
+        make()
+    assert seen() == before
 
 
 @pytest.mark.parametrize("whole", [False, True])
