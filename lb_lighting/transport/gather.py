@@ -24,7 +24,7 @@ from .directions import DEGREES, directions_for, harmonics, phase_function, thir
 from .field import Scattered
 from .lights import BEAMS, Emission, Sun
 from .medium import merged
-from .physical import distinct
+from .runs import distinct
 from .spread import rank_1, shift_of
 from .sweep import Beam, NumpyGlow, Turn
 

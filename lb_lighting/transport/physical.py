@@ -7,7 +7,7 @@ says what they neglect.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from math import inf, isinf, prod
 
 import numpy as np
@@ -19,20 +19,18 @@ from .coarse import coarse, put_together
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
-from .lights import BEAMS, FEW_VOXELS, Emission, Sky, by_band, multiple
+from .lights import BEAMS, Emission, Sky, by_band
 from .physical_numpy import NumpyLattice, Source
+from .rays import Rays, parts
+from .runs import runs_of, together
 from .settle import settle
 from .spread import face_areas
 from .thick import divided, merged, wished_pieces
 
-# Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
-# those of a sky, and of a medium that shines, go in many directions.
-_RAYS, _RAYS_AMONG_MANY, _RAYS_OF_SKY = 6, 3, 4
 _PHOTONS_A_VOXEL = 64
 _TRACING, _CASTING = 0.5, 0.3  # of the time: about that of photons, and of rays in the rest
 _MOST_SHIFTS = 64  # times that light is radiated again: each time it is less
 _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is radiated again
-_ALIKE = 1e-6  # relative: what is rounded otherwise is no other medium
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 
 
@@ -291,21 +289,21 @@ class _Work:
         shining = lights if medium.emission is None else [*lights, Emission(medium)]
         single = self.settings.scattering == "single"
         last = 1 if single else _last_collision(medium, self.settings)
-        runs, box = _runs(medium, shining, apart=last == 1), _box(medium, lights)
+        runs, box = runs_of(medium, shining, apart=last == 1), _box(medium, lights)
         traced = self._trace(medium, lights, last) if last > 1 else None
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
         lit_before, rest = set(), 1 - begun
-        for some, together in _together(runs, medium.sigma_t):
-            self.share = rest * len(together) / len(runs)
+        for some, bands in together(runs, medium.sigma_t):
+            self.share = rest * len(bands) / len(runs)
             self.begun, begun = begun, begun + self.share
             lit = {
                 band: _Band.dark(field, band, some, in_place=band not in lit_before)
-                for band in together
+                for band in bands
             }
             self._bands(medium, box, [shining[n] for n in some], traced, lit)
-            for band, multiples in together.items():
+            for band, multiples in bands.items():
                 lit_before |= set(multiples)
                 for other, factor in multiples.items():
                     _take(field, lit[band], some, other, factor)
@@ -370,16 +368,6 @@ class _Work:
         if self.progress is not None:
             self.progress(stage, fraction)
 
-    def _cast(self, medium, box, light, band, sigma_t, shadowed=True):
-        shadow = getattr(light, "shadow_density", None)
-        if shadow is not None and shadowed:
-            medium = medium.altered(density=shadow)
-        rays = _RAYS if max(medium.shape) <= FEW_VOXELS else _RAYS_AMONG_MANY
-        if isinstance(light, (Sky, Emission)):
-            rays = _RAYS_OF_SKY
-        rays = max(1, round(rays * self.settings.rays))
-        return direct.cast(medium, light, band, sigma_t, self.device, rays, self.cancel, box)
-
     def _unscattered(self, medium, box, lights, lit):
         """Light that has not scattered alone; what would scatter is counted, and followed no
         further."""
@@ -426,10 +414,11 @@ class _Work:
         return handovers
 
     def _each(self, medium, box, lights):
-        """(number of its light, `_Rays`) of each part of the lights, one at a time, for casts take
+        """(number of its light, `Rays`) of each part of the lights, one at a time, for casts take
         much memory."""
-        for number, part in _parts(lights):
-            yield number, _Rays(self, medium, box, part)
+        how = self.settings.rays, self.device, self.cancel
+        for number, part in parts(lights):
+            yield number, Rays(medium, box, part, *how)
 
     def _take_collided(self, rays, band, number, unscattered, handover, lit):
         """Hand over the first collisions of a light."""
@@ -527,131 +516,12 @@ class _Work:
         self._tell("solve", self.begun + self.share * reached)
 
 
-class _Rays:
-    """Sends the rays of a light; bands of which they meet the same share them.
-
-    So they are sent once through leaves, which stop all colours alike, and through smoke that only
-    differs in how much of each it scatters.
-    """
-
-    def __init__(self, work, medium, box, light):
-        self.work, self.medium, self.box, self.light = work, medium, box, light
-        self.sent = {}  # {whether without the forward peak: (sigma_t, band, `direct.Cast`)}
-
-    def cast(self, band, sigma_t, shadowed=True, peaked=True):
-        """The `direct.Cast` of a band.
-
-        sigma_t   extinction at density 1 to reckon with, 1/m
-        shadowed  whether the light's own shadow density counts, the same in all calls
-        peaked    whether the forward peak counts as scattered
-        """
-        if peaked in self.sent:
-            known, base, cast = self.sent[peaked]
-            factors = self._factors(band, base)
-            if np.isclose(known, sigma_t, rtol=_ALIKE, atol=0) and None not in factors:
-                return cast if factors == (1, 1) else cast.times(*factors)
-        found = self.work._cast(self.medium, self.box, self.light, band, sigma_t, shadowed)
-        self.sent[peaked] = sigma_t, band, found
-        return found
-
-    @cached_property
-    def missing(self):
-        """The `_Rays` of what the medium would radiate if it gave back all that it absorbs of a
-        uniform sky."""
-        radiance = by_band(self.light.radiance, self.medium.bands)
-        absorbed = 4 * np.pi * radiance * self.medium.sigma_a
-        emission = absorbed[:, None, None, None] * self.medium.density
-        emitting = Emission(self.medium.altered(emission=emission))
-        return _Rays(self.work, self.medium, self.box, emitting)
-
-    def _factors(self, band, base):
-        """How many times more light of a band there is, and is reflected by what is opaque; None
-        where that is no number."""
-        light, medium = multiple([self.light], self.medium, band, base), self.medium
-        if medium.occlusion is None:
-            return light, 1.0
-        own, other = (medium.occlusion_albedo[b] for b in (band, base))
-        if np.array_equal(own, other):
-            return light, 1.0
-        total = float(np.sum(other, dtype=float))
-        ratio = float(np.sum(own, dtype=float)) / total if total else 1.0
-        alike = np.allclose(own, ratio * other, rtol=_ALIKE, atol=0)
-        # What is reflected out of the domain at once is not counted apart from what else leaves.
-        return light, ratio if alike and not _on_border(medium.occlusion) else None
-
-
 def _box(medium, lights):
     """The `Box` of all that light may collide with, and of all that shines."""
     shadows = [getattr(light, "shadow_density", None) for light in lights]
     emission = None if medium.emission is None else medium.emission.sum(axis=0)
     grids = (medium.density, medium.occlusion, emission, *shadows)
     return Box.around([grid for grid in grids if grid is not None])
-
-
-def distinct(medium, lights):
-    """[(band to solve, {band: its multiple})]: bands that are multiples are solved once."""
-    runs = []
-    for band in range(medium.bands):
-        for base, multiples in runs:
-            factor = multiple(lights, medium, band, base)
-            if factor is not None and medium.alike(band, base):
-                multiples[band] = factor
-                break
-        else:
-            runs.append((band, {band: 1.0}))
-    return runs
-
-
-def _runs(medium, lights, apart):
-    """[(band to solve, {band: its multiple}, numbers of its lights)].
-
-    apart  whether lights may be solved apart: in a grey medium each is then solved once, whatever
-           its colour, and not once in each band
-    """
-    everything = list(range(len(lights)))
-    if not apart:
-        return [(band, multiples, everything) for band, multiples in distinct(medium, lights)]
-    runs = []
-    for number in everything:
-        for band, multiples in distinct(medium, [lights[number]]):
-            for alike, others, numbers in runs:
-                if (alike, others) == (band, multiples):
-                    numbers.append(number)
-                    break
-            else:
-                runs.append((band, multiples, [number]))
-    return runs
-
-
-def _on_border(grid):
-    """Whether a grid (nx, ny, nz) has anything in its outermost voxels."""
-    return any(grid.take((0, -1), axis).any() for axis in range(3))
-
-
-def _together(runs, sigma_t):
-    """[(numbers of lights, {band: its multiples})]: runs after each other that may share rays.
-
-    These are of the same lights and one extinction, and of bands that were not lit before, which
-    would take memory of their own.
-    """
-    found, lit_before = [], set()
-    for band, multiples, numbers in runs:
-        last = next(iter(found[-1][1])) if found else band
-        alike = np.isclose(sigma_t[band], sigma_t[last], rtol=_ALIKE, atol=0)
-        if band in lit_before or not found or found[-1][0] != numbers or not alike:
-            found.append((numbers, {}))
-        found[-1][1][band] = multiples
-        lit_before |= set(multiples)
-    return found
-
-
-def _parts(lights):
-    """[(number of its light, light)]: skies divided in what is even and what is not."""
-    return [
-        (number, part)
-        for number, light in enumerate(lights)
-        for part in (light.parts() if isinstance(light, Sky) else [light])
-    ]
 
 
 def _last_collision(medium, settings):

@@ -259,6 +259,30 @@ def test_bands_that_light_meets_alike_share_its_rays(monkeypatch, kind, irradian
             assert field.report.energy[where][band] == pytest.approx(power[0], rel=1e-4, abs=1e-5)
 
 
+def test_an_even_sky_of_any_colour_is_sent_once_and_what_it_misses_once(monkeypatch):
+    cast, sent = direct.cast, []
+    monkeypatch.setattr(direct, "cast", lambda *args: sent.append(args) or cast(*args))
+    colour = np.array([2.0, 0.5, 1.0])
+    absorbed = np.array([0.1, 0.2, 0.4])
+    field = solved(cloud(2 - absorbed, absorbed, 0.0), [Sky(colour)], tolerance=EXACTLY)
+    assert len(sent) == 2
+    for band in range(3):
+        alone = cloud(2 - absorbed[band], absorbed[band], 0.0)
+        alone = solved(alone, [Sky(colour[band])], tolerance=EXACTLY)
+        assert np.allclose(field.fluence[band], alone.fluence[0], rtol=1e-4, atol=1e-5)
+        assert np.allclose(field.flux[band], alone.flux[0], rtol=1e-4, atol=1e-5)
+
+
+def test_progress_comes_to_its_end_by_way_of_every_light():
+    """Lights of three colours in a grey medium are solved apart."""
+    told = []
+    suns = [Sun((0.3, 0.2, -0.93), c) for c in ((2, 1, 1), (1, 2, 1), (1, 1, 2))]
+    medium = cloud(np.full(3, 2.0), np.full(3, 0.1))
+    solved(medium, suns, progress=lambda _stage, fraction: told.append(fraction))
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1)
+
+
 def test_a_dark_first_band_does_not_darken_the_others():
     field = solved(cloud((2.0, 2.0)), [Sun(SUN.direction, (0.0, 1.0))])
     assert not field.fluence[0].any()
