@@ -34,6 +34,7 @@ __all__ = [
 
 
 GATHERED = "Pictures: what it scatters forwards was gathered along many directions, {:.1f} s."
+WHOLE = "Pictures: surfaces show the sky's own light, too."
 
 
 @dataclass
@@ -66,6 +67,7 @@ class Outcome:
             f"{report.steps} steps, {report.corrections} corrections, "
             f"settled to {report.residual:.1%}",
             *([GATHERED.format(seconds["gather"])] if "gather" in seconds else []),
+            *([WHOLE] if self.baking.task.whole else []),
             *(self.plan.reasons if self.plan else []),
         ]
 

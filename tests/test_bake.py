@@ -321,6 +321,7 @@ class TestSky:
             np.tile(2 * np.array(self.RADIANCE), (9, 1)), rel=0.05
         )
         assert not any("sky" in note for note in outcome.notes)
+        assert any("sky" in fact for fact in outcome.facts)
         assert np.array_equal(outcome.field.fluence, scattered.fluence)
 
     def test_both_ways_of_foliage_get_the_same(self, leaves, tmp_path):
