@@ -7,7 +7,7 @@ and the scene are free.
 """
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -207,9 +207,9 @@ def gather(context, objects, options, path=None, decided=None):
         }
         shining = any(source.shines for source in sources)
         lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
-    whole = decided.whole
-    if whole is None:
+    if decided.whole is None:
         whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
+        decided = replace(decided, whole=whole)
     reader.notes.extend(
         f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
         "convert it to a mesh."
@@ -233,7 +233,6 @@ def gather(context, objects, options, path=None, decided=None):
             "sources": ", ".join(source.name for source in sources),
             "frame": context.scene.frame_current,
         },
-        whole=whole,
         decided=decided,
     )
 

@@ -279,9 +279,9 @@ def _build_ambient(tree):
     emission = add_node(tree, "ShaderNodeEmission", -150, -100)
     shown = add_vector(tree, "MULTIPLY", color, light, -350, 0)
     tree.links.new(shown, emission.inputs["Color"])
-    seen = add_math(tree, "MULTIPLY", alpha, 1.0, -550, -200)
-    seen.node.use_clamp = True  # as the Principled BSDF clamps its alpha
-    factor = add_math(tree, "MULTIPLY", seen, strength, -350, -200)
+    seen = add_node(tree, "ShaderNodeClamp", -550, -200)  # as the Principled BSDF clamps its alpha
+    tree.links.new(alpha, seen.inputs["Value"])
+    factor = add_math(tree, "MULTIPLY", seen.outputs["Result"], strength, -350, -200)
     tree.links.new(factor, emission.inputs["Strength"])
     # Cycles leaves out what has no weight in a mix: other rays need not find the light.
     mix = add_node(tree, "ShaderNodeMixShader", 50, -100)

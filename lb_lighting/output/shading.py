@@ -21,7 +21,6 @@ from ..errors import OutputError
 from ..ours import TAG, find_ours, give_back, is_ours, is_overridden, override
 from ..transport.lights import Sun
 from . import attribute, modifier
-from .attribute import has_ambient
 from .groups import (
     AMBIENT_GROUP,
     BEAM_GROUP,
@@ -35,7 +34,6 @@ from .groups import (
     rest_group,
     volume_group,
 )
-from .modifier import has_modifier
 from .vdb import AXES, direct_grid, forward_grid
 from .volume import baked_volumes
 
@@ -243,7 +241,7 @@ def _is_whole(ob):
 
 def is_lit(ob):
     """True for an object that shows light of ours on its surface."""
-    return has_ambient(ob) or has_modifier(ob)
+    return attribute.has_ambient(ob) or modifier.has_modifier(ob)
 
 
 def unlight_surface(ob):
@@ -276,7 +274,7 @@ def unwire_unused():
             unlight_surface(ob)
     needed = {slot.material for ob in lit for slot in ob.material_slots}
     # Those of instances may be anyone's; they wait until no plant is left that has some.
-    shared = any(has_modifier(ob) for ob in lit)
+    shared = any(modifier.has_modifier(ob) for ob in lit)
     for material in () if shared else bpy.data.materials:
         if material not in needed and material.is_editable:
             unwire_ambient(material)
@@ -362,7 +360,7 @@ def _insert_ambient(tree, closure, targets, strength):
     node.location = shader.location.x + shader.width + 20, shader.location.y
     node.inputs["Strength"].default_value = strength
     for name, source in AMBIENT_INPUTS[shader.type].items():
-        _imitate(tree, node.inputs[name], shader.inputs[source])
+        _hand_on(tree, shader.inputs[source], node.inputs[name])
     node.inputs["Through"].default_value = shader.type == "BSDF_TRANSLUCENT"
     tree.links.new(closure, node.inputs["Shader"])
     for target in targets:
@@ -384,18 +382,8 @@ def _insert_rest(tree, shader):
 def _hand_on(tree, socket, target):
     """Give the input `target` the value of the input `socket`, and its link, muted or not."""
     target.default_value = socket.default_value
-    for link in list(target.links):
-        tree.links.remove(link)
     for link in socket.links:
         tree.links.new(link.from_socket, target).is_muted = link.is_muted
-
-
-def _imitate(tree, socket, model):
-    """Give the input `socket` the value and the link of the input `model`."""
-    socket.default_value = model.default_value
-    source = _source(model)
-    if source:
-        tree.links.new(source, socket)
 
 
 def _plain_material():

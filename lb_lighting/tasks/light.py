@@ -37,7 +37,7 @@ class Decided:
 
     settings  `Settings` that it is solved by
     times     that light is gathered
-    whole     whether surfaces show all light, see `Light`
+    whole     whether surfaces show all light, unscattered light, too
     """
 
     settings: Settings | None = None
@@ -100,8 +100,7 @@ class Light:
     readers   [number of the source] of those whose light a modifier reads from the file
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
-    whole     whether surfaces are to show all light, unscattered light, too
-    decided   what another frame has `Decided`
+    decided   what another frame has `Decided`; whether surfaces show all light is so in any case
     """
 
     options: Options
@@ -113,8 +112,12 @@ class Light:
     readers: list
     path: str
     facts: dict
-    whole: bool = False
-    decided: Decided = Decided()
+    decided: Decided
+
+    @property
+    def whole(self):
+        """Whether surfaces are to show all light, unscattered light, too."""
+        return self.decided.whole
 
     @property
     def scraps(self):

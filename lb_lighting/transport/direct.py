@@ -72,18 +72,18 @@ class Cast:
         """(3, nx, ny, nz) W/m^2, its net flux."""
         return self.toward if self.toward.ndim > 1 else self._along(self.direct)
 
+    @property
+    def sent_back(self):
+        """W, what opaque matter reflects."""
+        return 0.0 if self.reflected is None else float(self.reflected.sum(dtype=float))
+
     def times(self, factor, reflecting):
         """The same of light that is stronger by a factor, where opaque matter reflects more, too.
 
         reflecting  factor on the share that it does
         """
-        met = self.stopped
-        reflected = self.reflected
-        if reflected is not None:
-            met += float(reflected.sum(dtype=float))
-            reflected = _product(factor * reflecting, reflected)
-        toward, collided = self.toward, self.collided
-        return Cast(
+        toward, collided, reflected = self.toward, self.collided, self.reflected
+        found = Cast(
             _product(factor, self.direct),
             _product(factor, toward) if toward.ndim > 1 else toward,
             self.shade,
@@ -92,11 +92,13 @@ class Cast:
                 _product(factor, collided.position),
                 _product(factor, collided.direction),
             ),
-            reflected,
+            None if reflected is None else _product(factor * reflecting, reflected),
             factor * self.left,
-            factor * met - (0.0 if reflected is None else float(reflected.sum(dtype=float))),
+            factor * self.stopped,
             factor * self.entered,
         )
+        found.stopped += factor * self.sent_back - found.sent_back  # what is met is the same
+        return found
 
     def over(self, other):
         """(direct, flux) in the shade, by which it is more than another of the same light."""

@@ -267,10 +267,8 @@ class _Gatherer:
         it to be nowhere less than nothing: a few moments of light from one side are."""
         least = np.ones(self.depth.shape, np.float32)
         for number, row in enumerate(harmonics(self.towards.T).T.astype(np.float32)):
-            even, uneven = (
-                row[0] * light.moments[0],
-                np.tensordot(row[1:], light.moments[1:], axes=1),
-            )
+            even = row[0] * light.moments[0]
+            uneven = np.tensordot(row[1:], light.moments[1:], axes=1)
             for own, cosine in zip(light.lobes, self._cosines([number]), strict=True):
                 even = even + own * phase_function(cosine[0], np.float32(light.g))
             share = np.divide(even, -uneven, out=np.ones_like(least), where=uneven < 0)

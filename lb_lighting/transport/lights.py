@@ -559,9 +559,13 @@ def multiple(lights, medium, band, base):
     if total_base == 0:
         return None if total else 0.0
     factor = total / total_base
-    # 1e-6: an emission is stored in float32, and a multiple of it is rounded again.
-    alike = (np.allclose(row[band], factor * row[base], rtol=1e-6, atol=0) for row in rows)
-    return float(factor) if all(alike) else None
+    return float(factor) if all(same(row[band], factor * row[base]) for row in rows) else None
+
+
+def same(values, others):
+    """Whether values are the same but for rounding: an emission is stored in float32, and a
+    multiple of it is rounded again."""
+    return np.allclose(values, others, rtol=1e-6, atol=0)
 
 
 def bands_of(light):

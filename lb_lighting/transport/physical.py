@@ -294,17 +294,13 @@ class _Work:
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
         field.report.runs = len(runs)
-        lit_before, rest = set(), 1 - begun
-        for some, bands in together(runs, medium.sigma_t):
+        rest = 1 - begun
+        for some, bands, are_new in together(runs, medium.sigma_t):
             self.share = rest * len(bands) / len(runs)
             self.begun, begun = begun, begun + self.share
-            lit = {
-                band: _Band.dark(field, band, some, in_place=band not in lit_before)
-                for band in bands
-            }
+            lit = {band: _Band.dark(field, band, some, in_place=are_new) for band in bands}
             self._bands(medium, box, [shining[n] for n in some], traced, lit)
             for band, multiples in bands.items():
-                lit_before |= set(multiples)
                 for other, factor in multiples.items():
                     _take(field, lit[band], some, other, factor)
         field.report.converged = field.report.residual <= self.settings.tolerance
@@ -378,11 +374,10 @@ class _Work:
                 cast, albedo = rays.cast(band, medium.sigma_t[band]), medium.albedo[band]
                 own.add_unscattered(number, cast)
                 collided = cast.collided.power.sum(dtype=float)
-                reflected = 0.0 if cast.reflected is None else cast.reflected.sum(dtype=float)
                 own.energy["entered"] += cast.entered
                 own.energy["absorbed"] += cast.stopped + (1 - albedo) * collided
                 own.energy["left"] += cast.left
-                own.energy["scattered"] += albedo * collided + reflected
+                own.energy["scattered"] += albedo * collided + cast.sent_back
 
     def _first_collisions(self, medium, box, lights, _traced, lit):
         """{band: `_Handover` of first collisions}; what else they tell goes to `lit`."""

@@ -6,12 +6,11 @@ from functools import cached_property
 import numpy as np
 
 from . import direct
-from .lights import FEW_VOXELS, Emission, Sky, by_band, multiple
+from .lights import FEW_VOXELS, Emission, Sky, by_band, multiple, same
 
 # Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
 # those of a sky, and of a medium that shines, go in many directions.
 _USUAL, _AMONG_MANY, _OF_SKY = 6, 3, 4
-_ALIKE = 1e-6  # relative: what is rounded otherwise is no other medium
 
 
 def parts(lights):
@@ -47,8 +46,7 @@ class Rays:
         """
         if peaked in self.sent:
             known, base, cast = self.sent[peaked]
-            factors = self._factors(band, base)
-            if np.isclose(known, sigma_t, rtol=_ALIKE, atol=0) and None not in factors:
+            if same(known, sigma_t) and None not in (factors := self._factors(band, base)):
                 return cast if factors == (1, 1) else cast.times(*factors)
         found = self._send(band, sigma_t, shadowed)
         self.sent[peaked] = sigma_t, band, found
@@ -87,9 +85,9 @@ class Rays:
             return light, 1.0
         total = float(np.sum(other, dtype=float))
         ratio = float(np.sum(own, dtype=float)) / total if total else 1.0
-        alike = np.allclose(own, ratio * other, rtol=_ALIKE, atol=0)
         # What is reflected out of the domain at once is not counted apart from what else leaves.
-        return light, ratio if alike and not _on_border(medium.occlusion) else None
+        can = same(own, ratio * other) and not _on_border(medium.occlusion)
+        return light, ratio if can else None
 
 
 def _on_border(grid):

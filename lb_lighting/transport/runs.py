@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which bands are solved, for which lights, and which of them at once."""
 
-import numpy as np
-
-from .lights import multiple
-
-_ALIKE = 1e-6  # relative: what is rounded otherwise is no other extinction
+from .lights import multiple, same
 
 
 def distinct(medium, lights):
@@ -44,17 +40,20 @@ def runs_of(medium, lights, apart):
 
 
 def together(runs, sigma_t):
-    """[(numbers of lights, {band: its multiples})]: runs after each other that may share rays.
+    """[(numbers of lights, {band: its multiples}, whether nothing has lit the bands before)]: runs
+    after each other that may share rays.
 
-    These are of the same lights and one extinction, and of bands that were not lit before, which
-    would take memory of their own.
+    These are of the same lights and one extinction. A band that was lit before takes memory of its
+    own, and so is alone.
     """
     found, lit_before = [], set()
     for band, multiples, numbers in runs:
-        last = next(iter(found[-1][1])) if found else band
-        alike = np.isclose(sigma_t[band], sigma_t[last], rtol=_ALIKE, atol=0)
-        if band in lit_before or not found or found[-1][0] != numbers or not alike:
-            found.append((numbers, {}))
-        found[-1][1][band] = multiples
+        is_new = band not in lit_before
         lit_before |= set(multiples)
+        if found and is_new:
+            others, bands, are_new = found[-1]
+            if are_new and others == numbers and same(sigma_t[band], sigma_t[next(iter(bands))]):
+                bands[band] = multiples
+                continue
+        found.append((numbers, {band: multiples}, is_new))
     return found
