@@ -120,7 +120,12 @@ def _bake(parsed):
     outcome = bake.run(baking, bpy.context, _Progress())
     for note in outcome.notes:
         print(note)
-    save(target)
+    try:
+        save(target)
+    except OutputError:
+        if parsed.frames is None:  # a sequence is too much work to be thrown away
+            outcome.path.unlink(missing_ok=True)
+        raise
     print(f"{outcome.summary}: {outcome.path}")
 
 

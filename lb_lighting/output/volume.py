@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes out: the Volume object that shows the light in a file, and where files go."""
 
+import contextlib
 import os
 import tempfile
 import uuid
@@ -76,12 +77,14 @@ def show_volume(context, sources, path, frames=None):
     scene = context.scene
     before = [source[RESULT] for source in sources if source.get(RESULT)]
     older = [ob for ob in baked_volumes(scene) if ob in before]
+    for source in sources:
+        forget(source)
+    remove_unreachable(before)
     ob = older[0] if older else _new_volume(scene, sources[0].name)
     for other in older[1:]:
         remove_baked(other)
     for source in sources:
         tie(source, ob)
-    remove_unreachable([lost for lost in before if lost not in older])
     _part_from_copies(ob)
     ob.pop(APPENDED, None)
     ob.data.filepath = stored_path(path)
@@ -139,7 +142,6 @@ def is_lost(source, scenes):
 def tie(source, baked):
     """The Volume object `baked` shows the light of the object `source` from now on."""
     source[RESULT] = baked
-    source.pop(RETURNED, None)
     identify(source)
 
 
@@ -209,12 +211,16 @@ def delete_baked_file(path):
 
 def default_folder():
     """The folder for results: the .blend's, or `unsaved_folder` while the file is unsaved."""
-    return Path(bpy.data.filepath).parent if bpy.data.filepath else unsaved_folder()
+    if bpy.data.filepath:
+        return Path(bpy.data.filepath).parent
+    with contextlib.suppress(OSError):  # `require_writable` says that it is not there
+        unsaved_folder().mkdir(parents=True, exist_ok=True)
+    return unsaved_folder()
 
 
 def unsaved_folder():
     """The folder for results of files that are not saved yet, which outlives the extension."""
-    return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting", create=True))
+    return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting"))
 
 
 def require_writable(folder):

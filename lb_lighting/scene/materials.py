@@ -158,7 +158,9 @@ def _baked_optics(material):
     for node in material.node_tree.nodes:
         tree = getattr(node, "node_tree", None)
         if tree and tree.get(TAG) == BAKED_VOLUME:
-            values = (tuple(node.inputs[name].default_value) for name in ("Sigma S", "Sigma A", "G"))
+            values = (
+                tuple(node.inputs[name].default_value) for name in ("Sigma S", "Sigma A", "G")
+            )
             return VolumeOptics(grey(Optics(*values)), "density")
     return None
 
