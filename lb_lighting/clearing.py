@@ -71,7 +71,7 @@ def clear(context):
     shading.unwire_unused()
     for ob in baked:
         volume.remove_baked(ob)
-    volume.remove_unreachable(unseen)
+    volume.remove_unused(unseen)
     shading.restore_scene(scene)
     shading.remove_unused()
     return Cleared(count, list(dict.fromkeys(files)))

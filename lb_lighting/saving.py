@@ -10,7 +10,7 @@ import bpy
 
 from .errors import OutputError
 from .output.vdb import unfinished
-from .output.volume import stored_path, unsaved_folder, volume_path
+from .output.volume import Frames, stored_path, unsaved_folder, volume_path
 
 EXTENSION_FOLDER = "baked"  # in the extension's own: where earlier versions kept unsaved light
 
@@ -25,15 +25,18 @@ def bring_along(target):
     Returns [sentence] about what could not be brought, and is shown from where it was.
     """
     _before.clear()
-    folder, notes = Path(bpy.path.abspath(target)).parent, []
+    if not target:  # Blender's startup file
+        return []
+    folder, notes = Path(target).parent, []
     for volume in bpy.data.volumes:
         path = volume_path(volume)
         home = next((home for home in _homes() if path.is_relative_to(home)), None)
-        if home is None or not path.exists() or not volume.is_editable:
+        if home is None or not volume.is_editable:
             continue
         within = path.relative_to(home)
         try:
-            _copy_all(home / within.parts[0], folder / within.parts[0])
+            if not _copy_all(home / within.parts[0], folder / within.parts[0]):
+                continue
         except OSError:
             notes.append(
                 f"{path} could not be copied beside the .blend and stays where it is; "
@@ -78,8 +81,8 @@ def save(path):
         os.replace(aside, path)
     except (OSError, RuntimeError) as error:
         raise OutputError(
-            f"{path} could not be written and is as it was; free space on its disk, or choose "
-            "another --output."
+            f"{path} could not be written, and nothing was replaced; free space on its disk, or "
+            "choose another --output."
         ) from error
     finally:
         aside.unlink(missing_ok=True)
@@ -107,16 +110,20 @@ def _path_in(folder, within):
 
 
 def _copy_all(old, new):
-    """Copy a file, or the files of a folder, where they are not there yet; OSError."""
-    if not old.is_dir():
+    """Copy a file, or the frames in a folder; the number of them. Raises OSError."""
+    if old.is_file():
         _copy(old, new)
-        return
-    new.mkdir(exist_ok=True)
-    for path in old.iterdir():
+        return 1
+    frames = Frames.files(old)
+    if frames:
+        new.mkdir(exist_ok=True)
+    for path in frames:
         _copy(path, new / path.name)
+    return len(frames)
 
 
 def _copy(old, new):
+    """Copy a file, unless it is there already: files of ours are never changed."""
     if new.exists() and new.stat().st_size == old.stat().st_size:
         return
     try:

@@ -79,7 +79,7 @@ def show_volume(context, sources, path, frames=None):
     older = [ob for ob in baked_volumes(scene) if ob in before]
     for source in sources:
         forget(source)
-    remove_unreachable(before)
+    remove_unused(before)
     ob = older[0] if older else _new_volume(scene, sources[0].name)
     for other in older[1:]:
         remove_baked(other)
@@ -178,11 +178,10 @@ def remove_baked(ob):
             bpy.data.batch_remove([block])
 
 
-def remove_unreachable(baked):
-    """Remove those of the Volume objects `baked` that are in no scene and show no one's light."""
-    tied = {ob.get(RESULT) for ob in bpy.data.objects}
+def remove_unused(baked):
+    """Remove those of the Volume objects `baked` that nothing uses, not even a source."""
     for ob in dict.fromkeys(baked):
-        if ob not in tied and is_ours(ob) and not ob.users_scene:
+        if is_ours(ob) and not ob.users:
             remove_baked(ob)
 
 
