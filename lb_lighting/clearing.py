@@ -50,18 +50,19 @@ class Cleared:
 def clear(context):
     """Take everything that bakes made out of the scene, and give back what they changed.
 
+    What is linked from another file stays as it is there.
     Returns what was `Cleared`; the files stay until they are deleted there.
     """
     mend()
     scene = context.scene
-    baked = volume.baked_volumes(scene)
-    lost = volume.lost_sources(scene)
+    baked = [ob for ob in volume.baked_volumes(scene) if ob.is_editable]
+    lost = [ob for ob in volume.lost_sources(scene) if ob.is_editable]
     unseen = [ob[volume.RESULT] for ob in lost if ob[volume.RESULT]]
     unseen = [ob for ob in dict.fromkeys(unseen) if not ob.users_scene]
     sources = [s for ob in baked for s in volume.sources_of(scene, ob)] + lost
     surfaces = [ob for ob in scene.objects if shading.is_lit(ob)]
     files = [
-        (volume.baked_path(ob), ob.data.is_sequence, volume.APPENDED in ob) for ob in baked + unseen
+        (volume.baked_path(ob), ob.data.is_sequence, volume.is_foreign(ob)) for ob in baked + unseen
     ]
     count = len({*sources, *surfaces} or baked)
     release(context, sources, baked)

@@ -30,7 +30,7 @@ def bring_along(target):
     folder, notes = Path(target).parent, []
     for volume in bpy.data.volumes:
         path = volume_path(volume)
-        home = next((home for home in _homes() if path.is_relative_to(home)), None)
+        home = next((home for home in _homes() if home in path.parents), None)
         if home is None or not volume.is_editable:
             continue
         within = path.relative_to(home)

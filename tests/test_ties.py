@@ -7,7 +7,7 @@ import pytest
 
 from lb_lighting import bake, ties
 from lb_lighting.clearing import clear
-from lb_lighting.output.volume import APPENDED, RESULT, baked_path, baked_volumes
+from lb_lighting.output.volume import APPENDED, RESULT, baked_path, baked_volumes, is_foreign
 from tests import scenery
 from tests.keeping import hidden, light
 from tests.scenery import bake_light, snapshot
@@ -297,6 +297,31 @@ class TestAppended:
         (note,) = cleared.delete_files()
         assert note == f"{path} was kept, because it came here from another .blend."
         assert path.exists()
+
+    def test_what_is_linked_is_left_to_its_file(self, library):
+        with bpy.data.libraries.load(str(library), link=True) as (_there, here):
+            here.objects = ["fog", "LB fog"]
+        for ob in here.objects:
+            bpy.context.scene.collection.objects.link(ob)
+        bpy.context.view_layer.update()
+        assert clear(bpy.context).count == 0
+        assert hidden(bpy.data.objects["fog"]) == [True]
+        assert baked_volumes(bpy.context.scene)
+
+    def test_an_override_has_its_light_in_its_own_file_once_it_is_baked(self, library, tmp_path):
+        with bpy.data.libraries.load(str(library), link=True) as (_there, here):
+            here.objects = ["fog", "LB fog"]
+        linked = baked_path(here.objects[1])
+        overrides = [ob.override_create(remap_local_usages=True) for ob in here.objects]
+        for ob in overrides:
+            bpy.context.scene.collection.objects.link(ob)
+        fog, ob = overrides
+        fog[RESULT] = ob
+        bpy.context.view_layer.update()
+        assert is_foreign(ob)
+        assert light(fog, folder=tmp_path) == ob
+        assert baked_path(bpy.data.objects["LB fog", str(library)]) == linked
+        assert not is_foreign(ob)
 
     def test_what_was_baked_here_since_is_of_this_file(self, library, tmp_path):
         fog, ob = self.append(library, "fog", "LB fog")

@@ -167,6 +167,11 @@ def volume_path(volume):
     return Path(os.path.normpath(bpy.path.abspath(volume.filepath, library=volume.library)))
 
 
+def is_foreign(ob):
+    """True for a baked volume whose file was baked for another .blend, and is its to delete."""
+    return APPENDED in ob or not ob.data.is_editable
+
+
 def remove_baked(ob):
     """Remove a Volume object that `show_volume` made, with its datablock and our materials."""
     volume = ob.data
@@ -186,16 +191,21 @@ def remove_unused(baked):
 
 
 def _part_from_copies(ob):
-    """Leave the data and materials that copies of the baked Volume object `ob` share to them.
+    """Leave the data and materials that copies of the baked Volume object `ob` share to them, and
+    those that are linked to their file.
 
     Copies are the user's, and go on showing what they show now.
     """
-    if ob.data.users > 1:
+    if _is_shared(ob.data):
         ob.data = ob.data.copy()
     materials = ob.data.materials
     for index, material in enumerate(materials):
-        if material and is_ours(material) and material.users - material.use_fake_user > 1:
+        if material and is_ours(material) and _is_shared(material):
             materials[index] = material.copy()
+
+
+def _is_shared(block):
+    return block.users - block.use_fake_user > 1 or not block.is_editable
 
 
 def delete_baked_file(path):
