@@ -7,9 +7,9 @@
 
 def _modules():
     from . import cli
-    from .ui import operators, panels, preferences, presets, preview, properties, running
+    from .ui import handlers, operators, panels, preferences, presets, preview, properties, running
 
-    return (properties, preferences, running, operators, presets, panels, preview, cli)
+    return (properties, preferences, running, handlers, operators, presets, panels, preview, cli)
 
 
 def register():

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from . import exchange
+from .clearing import clear, release
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
@@ -24,6 +25,7 @@ from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
+from .ties import mend
 from .transport.lights import Sky
 from .transport.medium import Optics
 
@@ -290,57 +292,14 @@ def _is_read(source, options):
     return source.is_foliage and options.foliage == "MODIFIER"
 
 
-def clear(context, delete_files=False):
-    """Take everything that bakes made out of the scene, and give back what they changed.
-
-    delete_files  delete the .vdb files of the baked volumes too
-    Returns the number of objects that had light. Raises OutputError for a file that cannot be
-    deleted; the scene is cleared all the same.
-    """
-    scene = context.scene
-    baked = volume.baked_volumes(scene)
-    paths = [volume.baked_path(ob) for ob in baked]
-    sources = [s for ob in baked for s in volume.sources_of(scene, ob)]
-    sources += volume.lost_sources(scene)
-    surfaces = [ob for ob in scene.objects if shading.is_lit(ob)]
-    count = len({*sources, *surfaces} or baked)
-    _release(context, sources, baked)
-    for ob in surfaces:
-        attribute.remove_ambient(ob)
-        modifier.remove_modifier(ob)
-    shading.unwire_unused()
-    for ob in baked:
-        volume.remove_baked(ob)
-    shading.restore_scene(scene)
-    shading.remove_unused()
-    if delete_files:
-        for path in paths:
-            volume.delete_baked_file(path)
-    return count
-
-
 def is_lit(scene):
     """True where something in the scene shows light of a bake."""
     return bool(volume.baked_volumes(scene)) or any(map(shading.is_lit, scene.objects))
 
 
-def _release(context, sources, baked):
-    """Show `sources` as they were before the bake, selected where their light was."""
-    selected = any(ob.select_get() for ob in baked)
-    for ob in sources:
-        was_hidden = ob.hide_viewport
-        shading.show_source(ob)
-        volume.forget(ob)
-        if selected and was_hidden and not ob.hide_viewport and _in_view(context, ob):
-            ob.select_set(True)
-
-
-def _in_view(context, ob):
-    return ob.name in context.view_layer.objects
-
-
 def sources_of(scene, objects):
     """`objects` with each baked volume replaced by the objects whose light it shows."""
+    mend()
     baked = volume.baked_volumes(scene)
     found = {}  # keeps the order
     for ob in objects:
@@ -406,7 +365,7 @@ def _show_volume(context, objects, task, lit, frames):
     ob = volume.show_volume(context, objects, task.path, frames)
     # An older bake may have had more sources than this one; they have no light now.
     gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects]
-    _release(context, gone + volume.lost_sources(context.scene), [])
+    release(context, gone + volume.lost_sources(context.scene), [])
     mode, optics = task.options.mode, lit.optics
     coefficients = optics.sigma_s, optics.sigma_a, optics.g
     core = lit.domain.voxel_size

@@ -18,6 +18,7 @@ import bpy
 from . import bake, job
 from .errors import LightingError, OutputError, SceneError
 from .output.volume import require_writable
+from .saving import save
 from .sequence import Sequence
 
 _HELP = {
@@ -119,7 +120,12 @@ def _bake(parsed):
     outcome = bake.run(baking, bpy.context, _Progress())
     for note in outcome.notes:
         print(note)
-    _save(target)
+    try:
+        save(target)
+    except OutputError:
+        if parsed.frames is None:  # a sequence is too much work to be thrown away
+            outcome.path.unlink(missing_ok=True)
+        raise
     print(f"{outcome.summary}: {outcome.path}")
 
 
@@ -132,9 +138,12 @@ def _frames(text):
 def _clear(parsed):
     _open(parsed)
     target = _target(parsed)
-    count = bake.clear(bpy.context, parsed.delete_files)
-    _save(target)
-    print(f"LB light taken out of {count} object{'s' * (count != 1)}")
+    cleared = bake.clear(bpy.context)
+    save(target)
+    print(cleared.summary)
+    if parsed.delete_files:  # not before the file that shows them is replaced
+        for note in cleared.delete_files():
+            print(note)
 
 
 def _list_devices(_parsed):
@@ -167,13 +176,6 @@ def _target(parsed):
     path = Path(path).absolute()
     require_writable(path.parent)
     return str(path)
-
-
-def _save(path):
-    try:
-        bpy.ops.wm.save_as_mainfile(filepath=path)
-    except RuntimeError as error:
-        raise OutputError(f"{path} could not be written; choose another --output.") from error
 
 
 class _Progress:

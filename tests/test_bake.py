@@ -558,7 +558,7 @@ class TestTogether:
 
     def test_light_removed_by_hand_gives_the_sources_back(self, pair):
         bpy.data.objects.remove(baked())
-        assert bake.clear(bpy.context) == 2
+        assert bake.clear(bpy.context).count == 2
         assert {ob.hide_render for ob in pair} == {False}
 
     def test_light_whose_sources_are_gone(self, pair):
@@ -566,13 +566,13 @@ class TestTogether:
             bpy.data.objects.remove(ob)
         with pytest.raises(SceneError, match="was baked from is gone"):
             bake_light(baked())
-        assert bake.clear(bpy.context) == 1
+        assert bake.clear(bpy.context).count == 1
 
     def test_another_scene_keeps_its_light(self, pair):
         other = bpy.data.scenes.new("other")
         other.collection.objects.link(pair[0])
         with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
-            assert bake.clear(bpy.context) == 0
+            assert bake.clear(bpy.context).count == 0
         assert pair[0].hide_render
 
 
@@ -592,7 +592,7 @@ class TestClear:
         for _ in range(bakes):
             bake_light(*sources, mode=mode)
         assert snapshot() != before
-        assert bake.clear(bpy.context) > 0
+        assert bake.clear(bpy.context).count > 0
         assert snapshot() == before
 
     def test_nothing_of_the_users_own_is_taken(self, scene, tmp_path):
@@ -609,13 +609,15 @@ class TestClear:
     def test_files_are_deleted_only_when_asked(self, scene, tmp_path, delete):
         fog = scenery.add_fog(tmp_path)
         path = bake_light(fog).path
-        bake.clear(bpy.context, delete_files=delete)
+        cleared = bake.clear(bpy.context)
+        if delete:
+            cleared.delete_files()
         assert path.exists() != delete
         assert Path(fog.data.filepath).exists()
 
     def test_nothing_to_clear(self, scene):
         before = snapshot()
-        assert bake.clear(bpy.context) == 0
+        assert bake.clear(bpy.context).count == 0
         assert snapshot() == before
 
 

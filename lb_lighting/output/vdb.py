@@ -251,8 +251,12 @@ def _write_checked(path, grids, metadata):
         grid.updateMetadata(stamps)
     openvdb.write(str(path), grids, {"creator": CREATOR, **stamps})
     # OpenVDB truncates silently on a full disk; one byte more, which its readers ignore,
-    # makes the system say so.
+    # makes the system say so, if the disk is still full.
     with open(path, "ab") as file:
         file.write(b"\0")
         file.flush()
         os.fsync(file.fileno())
+    try:  # after a part that was not written nothing is, so the last grid tells of all
+        openvdb.read(str(path), grids[-1].name)
+    except (LookupError, RuntimeError) as error:
+        raise OSError(f"{path} is not whole") from error

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes out: the Volume object that shows the light in a file, and where files go."""
 
+import contextlib
+import os
 import tempfile
 import uuid
 from dataclasses import dataclass
@@ -14,6 +16,9 @@ from ..ours import TAG, is_ours
 from .vdb import is_baked_file
 
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
+IDENTITY = "lb_lighting_identity"  # on either: a text of its own, which tells it from its copies
+RETURNED = "lb_lighting_returned"  # on a source: it shows again while its light is in no scene
+APPENDED = "lb_lighting_appended"  # on a baked volume: its file was baked for another .blend
 
 
 def fresh_path(folder, source_name):
@@ -40,6 +45,11 @@ class Frames:
         """Of the file for a frame; Blender finds the number at its end."""
         return self.folder / f"frame_{frame:04d}.vdb"
 
+    @staticmethod
+    def files(folder):
+        """[path] of all frames in a folder."""
+        return sorted(Path(folder).glob("frame_*.vdb"))
+
     def __iter__(self):
         return iter(range(self.first, self.last + 1))
 
@@ -65,13 +75,19 @@ def show_volume(context, sources, path, frames=None):
     each now share the first. Call `forget` for those that an older bake had and this has not.
     """
     scene = context.scene
-    older = [ob for ob in baked_volumes(scene) if any(s.get(RESULT) == ob for s in sources)]
+    before = [source[RESULT] for source in sources if source.get(RESULT)]
+    older = [ob for ob in baked_volumes(scene) if ob in before]
+    for source in sources:
+        forget(source)
+    remove_unused(before)
     ob = older[0] if older else _new_volume(scene, sources[0].name)
     for other in older[1:]:
         remove_baked(other)
     for source in sources:
-        source[RESULT] = ob
-    ob.data.filepath = _stored_path(path)
+        tie(source, ob)
+    _part_from_copies(ob)
+    ob.pop(APPENDED, None)
+    ob.data.filepath = stored_path(path)
     ob.data.is_sequence = frames is not None
     if frames is not None:
         ob.data.frame_start, ob.data.frame_duration = frames.first, frames.last - frames.first + 1
@@ -104,18 +120,56 @@ def sources_of(scene, baked):
 
 def lost_sources(scene):
     """The objects in `scene` that were lit, and whose light has since been removed."""
-    return [ob for ob in scene.objects if RESULT in ob and ob[RESULT] is None]
+    sources, scenes = [ob for ob in scene.objects if RESULT in ob], scene_objects()
+    return [ob for ob in sources if is_lost(ob, scenes)]
+
+
+def scene_objects():
+    """[set of objects] of each scene of the file."""
+    return [set(scene.objects) for scene in bpy.data.scenes]
+
+
+def is_lost(source, scenes):
+    """True for a source that is in one of `scenes`, but nowhere together with its baked volume.
+
+    scenes  what `scene_objects` returns
+    Blender keeps a deleted object in the file as long as a source points to it.
+    """
+    own = [objects for objects in scenes if source in objects]
+    return bool(own) and not any(source[RESULT] in objects for objects in own)
+
+
+def tie(source, baked):
+    """The Volume object `baked` shows the light of the object `source` from now on."""
+    source[RESULT] = baked
+    identify(source)
+
+
+def identify(ob, anew=False):
+    """Give a source or a baked volume its identity, where it has none or is to have it `anew`."""
+    if anew or IDENTITY not in ob:
+        ob[IDENTITY] = uuid.uuid4().hex
 
 
 def forget(source):
     """The object `source` has no light any more."""
-    if RESULT in source:
-        del source[RESULT]
+    for mark in (RESULT, IDENTITY, RETURNED):
+        source.pop(mark, None)
 
 
 def baked_path(ob):
     """The path of the file that the baked Volume object shows."""
-    return Path(bpy.path.abspath(ob.data.filepath))
+    return volume_path(ob.data)
+
+
+def volume_path(volume):
+    """The path of the file that the datablock `volume` shows; of a sequence, of one frame."""
+    return Path(os.path.normpath(bpy.path.abspath(volume.filepath, library=volume.library)))
+
+
+def is_foreign(ob):
+    """True for a baked volume whose file was baked for another .blend, and is its to delete."""
+    return APPENDED in ob or not ob.data.is_editable
 
 
 def remove_baked(ob):
@@ -129,6 +183,31 @@ def remove_baked(ob):
             bpy.data.batch_remove([block])
 
 
+def remove_unused(baked):
+    """Remove those of the Volume objects `baked` that nothing uses, not even a source."""
+    for ob in dict.fromkeys(baked):
+        if is_ours(ob) and not ob.users:
+            remove_baked(ob)
+
+
+def _part_from_copies(ob):
+    """Leave the data and materials that copies of the baked Volume object `ob` share to them, and
+    those that are linked to their file.
+
+    Copies are the user's, and go on showing what they show now.
+    """
+    if _is_shared(ob.data):
+        ob.data = ob.data.copy()
+    materials = ob.data.materials
+    for index, material in enumerate(materials):
+        if material and is_ours(material) and _is_shared(material):
+            materials[index] = material.copy()
+
+
+def _is_shared(block):
+    return block.users - block.use_fake_user > 1 or not block.is_editable
+
+
 def delete_baked_file(path):
     """Delete the file at `path` if `write_vdb` wrote it; OutputError if that cannot be done."""
     if not is_baked_file(path):
@@ -140,13 +219,17 @@ def delete_baked_file(path):
 
 
 def default_folder():
-    """The folder for results: the .blend's, or the extension's own while the file is unsaved."""
+    """The folder for results: the .blend's, or `unsaved_folder` while the file is unsaved."""
     if bpy.data.filepath:
         return Path(bpy.data.filepath).parent
-    if __package__.startswith("bl_ext."):
-        extension = ".".join(__package__.split(".")[:3])
-        return Path(bpy.utils.extension_path_user(extension, path="baked", create=True))
-    return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting", create=True))
+    with contextlib.suppress(OSError):  # `require_writable` says that it is not there
+        unsaved_folder().mkdir(parents=True, exist_ok=True)
+    return unsaved_folder()
+
+
+def unsaved_folder():
+    """The folder for results of files that are not saved yet, which outlives the extension."""
+    return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting"))
 
 
 def require_writable(folder):
@@ -162,7 +245,7 @@ def require_writable(folder):
         ) from error
 
 
-def _stored_path(path):
+def stored_path(path):
     """`path` as the .blend keeps it: relative to it, unless it is unsaved or on another drive."""
     try:
         return bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
@@ -174,5 +257,6 @@ def _new_volume(scene, source_name):
     volume = bpy.data.volumes.new(f"LB {source_name}")
     ob = bpy.data.objects.new(volume.name, volume)
     volume[TAG] = ob[TAG] = "baked volume"
+    identify(ob)
     scene.collection.objects.link(ob)
     return ob

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SceneError
+from ..ours import TAG
 from ..transport.medium import Optics
 from .shaders import Shader, may_be_positive
 
@@ -21,6 +22,7 @@ EMISSION_INPUTS = {
     "EMISSION": ["Strength"],
     "PRINCIPLED_VOLUME": ["Emission Strength", "Blackbody Intensity"],
 }
+BAKED_VOLUME = "LB Volume Light"  # what the node group of a baked volume is tagged with
 DEFAULT_REFLECTANCE = 0.8  # of a surface without a material, as Cycles renders it
 
 
@@ -82,6 +84,8 @@ def volume_optics(material):
     Definitions as in Cycles (intern/cycles/kernel/svm/closure.h), which the tests hold it to.
     Raises SceneError for nodes that cannot be read as constants times one density attribute.
     """
+    if baked := _baked_optics(material):
+        return baked
     shader = Shader(material)
     closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
     if not closures:
@@ -146,6 +150,19 @@ def leaf_optics(material):
         )
     share = coverage or 1.0
     return Leaf(tuple(rho / share), tuple(tau / share), coverage)
+
+
+def _baked_optics(material):
+    """The `VolumeOptics` that a baked volume was lit with, copies of which are baked, too; None for
+    any other material."""
+    for node in material.node_tree.nodes:
+        tree = getattr(node, "node_tree", None)
+        if tree and tree.get(TAG) == BAKED_VOLUME:
+            values = (
+                tuple(node.inputs[name].default_value) for name in ("Sigma S", "Sigma A", "G")
+            )
+            return VolumeOptics(grey(Optics(*values)), "density")
+    return None
 
 
 def _volume_closure(shader, closure):

@@ -199,15 +199,17 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
     )
 
     def execute(self, context):
-        try:
-            count = bake.clear(context, self.delete_files)
-        except LightingError as error:  # the scene is cleared, a file is left
-            self.report({"WARNING"}, str(error))
-            return {"FINISHED"}
-        if not count:
+        cleared = bake.clear(context)
+        if not cleared.count:
             self.report({"INFO"}, "Nothing to clear: this scene has no LB light")
             return {"CANCELLED"}
-        self.report({"INFO"}, f"LB light taken out of {count} object{'s' * (count > 1)}")
+        try:
+            notes = cleared.delete_files() if self.delete_files else []
+        except LightingError as error:  # the scene is cleared, a file is left
+            notes = [str(error)]
+        for note in notes:
+            self.report({"WARNING"}, note)
+        self.report({"INFO"}, cleared.summary)
         return {"FINISHED"}
 
 

@@ -235,8 +235,8 @@ class SceneProperties(bpy.types.PropertyGroup):
     )
     folder: StringProperty(
         name="Folder",
-        description="Where the .vdb is written; empty for the folder of the .blend, or the "
-        "extension's own while that is not saved",
+        description="Where the .vdb is written; empty for the folder of the .blend. What is baked "
+        "before the first save moves there with it",
         subtype="DIR_PATH",
     )
 

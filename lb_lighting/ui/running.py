@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bake that is under way, and how the last one ended; nothing of it is in the .blend."""
 
+import sys
+
 import bpy
 from bpy.app.handlers import persistent
 
@@ -43,6 +45,14 @@ def finish(lines, error=False):
     """Nothing is under way any more; keep what there is to say about it."""
     global baking, last, failed
     baking, last, failed = None, tuple(lines), error
+    redraw()
+
+
+def tell(line):
+    """Say one thing more in the panel and on the console, whatever is under way."""
+    global last
+    print(f"lb_lighting: {line}", file=sys.stderr)
+    last = (*last, line)
     redraw()
 
 

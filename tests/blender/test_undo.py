@@ -66,3 +66,14 @@ def test_clear(scene, tmp_path):
     assert files(tmp_path) == written
     bpy.ops.ed.undo()
     assert state() == lit
+
+
+def test_light_that_is_deleted(scene):
+    lit = run(bpy.ops.lb_lighting.bake)
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.data.objects["LB Cloud"].select_set(True)
+    for _ in range(2):
+        deleted = run(bpy.ops.object.delete)
+        assert deleted["objects"]["Cloud"] == (False, False)
+        bpy.ops.ed.undo()
+        assert state() == lit
