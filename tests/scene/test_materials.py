@@ -277,6 +277,7 @@ class TestShining:
         material, group = make_material(), bpy.data.node_groups.new("fire", "ShaderNodeTree")
         group.interface.new_socket("Volume", in_out="OUTPUT", socket_type="NodeSocketShader")
         flame = group.nodes.new("ShaderNodeAttribute")
+        flame.attribute_name = "flame"
         shader = add_node(group, "ShaderNodeEmission", Strength=flame.outputs["Factor"])
         group.links.new(shader.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
         tree = material.node_tree
