@@ -25,38 +25,62 @@ class Nothing:
     default_value = 0.0
 
 
-def resolve(socket, groups=()):
-    """(socket, groups): where a value comes from, through links, reroutes and node groups.
+class Links:
+    """Follows the links of node trees.
 
-    It is an output of a node, or an input that nothing is linked to and that holds the value:
-    then a bpy socket, or `Nothing`. A muted node hands on what its internal link brings to it.
-    groups  the group nodes around the socket, outermost first
+    Each tree's are looked up once, for Blender goes through all of them to find those of a socket.
     """
-    holder = Nothing(socket.node), groups  # what has the value, where no link brings another
-    seen = set()
-    while (socket, groups) not in seen:
-        seen.add((socket, groups))
-        node = socket.node
-        passes = node.type == "REROUTE" or node.mute
-        if not socket.is_output:
-            if not passes:
-                holder = socket, groups
-            socket = next((link.from_socket for link in socket.links if _carries(link)), None)
-        elif passes:
-            socket = _before(node, socket)
-        elif node.type in GROUPS and is_ours(node):  # what it was put in front of, or behind
-            socket = node.inputs[0]
-        elif node.type in GROUPS:
-            holder = Nothing(node), groups
-            socket, groups = _twin(_inside(node), socket), (*groups, node)
-        elif node.type == "GROUP_INPUT":
-            holder = Nothing(node), groups
-            socket, groups = _twin(groups[-1].inputs if groups else (), socket), groups[:-1]
-        else:
-            return socket, groups
-        if socket is None:
-            return holder
-    return holder
+
+    def __init__(self):
+        self._sources = {}
+
+    def resolve(self, socket, groups=()):
+        """(socket, groups): where a value comes from, through links, reroutes and node groups.
+
+        It is an output of a node, or an input that nothing is linked to and that holds the value:
+        then a bpy socket, or `Nothing`. A muted node hands on what its internal link brings to it.
+        groups  the group nodes around the socket, outermost first
+
+        Raises `Circle` for a tree on the way whose links form one.
+        """
+        holder = Nothing(socket.node), groups  # what has the value, where no link brings another
+        while socket is not None:
+            node = socket.node
+            passes = node.type == "REROUTE" or node.mute
+            if not socket.is_output:
+                if not passes:
+                    holder = socket, groups
+                socket = self._source(socket)
+            elif passes:
+                socket = _before(node, socket)
+            elif node.type in GROUPS and is_ours(node):  # what it was put in front of, or behind
+                socket = node.inputs[0]
+            elif node.type in GROUPS:
+                holder = Nothing(node), groups
+                socket, groups = _twin(_inside(node), socket), (*groups, node)
+            elif node.type == "GROUP_INPUT":
+                holder = Nothing(node), groups
+                socket, groups = _twin(groups[-1].inputs if groups else (), socket), groups[:-1]
+            else:
+                return socket, groups
+        return holder
+
+    def _source(self, socket):
+        """The socket that a link brings to an input, or None."""
+        tree = socket.id_data
+        if tree not in self._sources:
+            refuse_circle(tree)
+            links = [link for link in tree.links if link.is_valid and not link.is_muted]
+            self._sources[tree] = {link.to_socket: link.from_socket for link in links}
+        return self._sources[tree].get(socket)
+
+
+def resolve(socket, groups=()):
+    """What `Links.resolve` returns; of a circle of links, `Nothing`."""
+    try:
+        return Links().resolve(socket, groups)
+    except Circle as circle:
+        return Nothing(circle.node), groups
 
 
 def active_output(tree):
@@ -68,7 +92,7 @@ def active_output(tree):
 
 
 def refuse_circle(tree):
-    """Raise `Circle` for a tree that Cycles renders nothing of, for its links form one."""
+    """Raise `Circle` for a tree whose links form one: Cycles renders nothing of it."""
     for link in tree.links:
         ends = link.from_socket, link.to_socket
         # A link of a closure to a value, or of a socket that is not in use, is invalid, too.
@@ -113,10 +137,6 @@ def _active_output(tree, found, groups):
 def _is_output(node):
     kinds = {"OUTPUT_MATERIAL", "OUTPUT_WORLD", "OUTPUT_LIGHT"}
     return node.type in kinds and node.is_active_output and node.target in {"ALL", "CYCLES"}
-
-
-def _carries(link):
-    return link.is_valid and not link.is_muted
 
 
 def _before(node, socket):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SceneError
-from .links import Circle, active_output, postorder, refuse_circle, resolve
+from .links import Circle, Links, active_output, postorder, refuse_circle, resolve
 from .values import LUMINANCE, Scaled, Unread, as_number, value_of
 
 __all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "resolve"]
@@ -36,6 +36,7 @@ class Shader:
         self.owner = owner
         self.error = error
         self.attributes = attributes
+        self.links = Links()
         # A preset stands in for a material, but not for a light.
         self.or_preset = ", or choose a preset" if error is SceneError else ""
 
@@ -48,10 +49,7 @@ class Shader:
         try:
             return self._weighed(self._tree(output), known, ignored)
         except Circle as circle:
-            raise self.error(
-                f"The links of '{self.owner.name}' lead in a circle at the node "
-                f"'{circle.node.name}'; remove one of them."
-            ) from None
+            raise self._circle(circle) from None
 
     def reaching(self, output):
         """[Closure] of any type that may reach the socket `output`, however they are mixed."""
@@ -95,7 +93,7 @@ class Shader:
 
     def text(self, closure, name):
         """The text that the input `name` of a closure holds."""
-        socket, _groups = resolve(closure.node.inputs[name], closure.groups)
+        socket, _groups = self._resolve(closure, name)
         if socket.is_output:
             raise self._refusal(socket.node)
         return socket.default_value or ""
@@ -107,7 +105,9 @@ class Shader:
             return {}
         refuse_circle(tree)
         node, groups = active_output(tree)
-        return postorder(resolve(node.inputs[output], groups), self._mixed) if node else {}
+        if node is None:
+            return {}
+        return postorder(self.links.resolve(node.inputs[output], groups), self._mixed)
 
     def _mixed(self, key):
         """[(socket, groups)] of what the node of a (socket, groups) mixes, without shares of 0."""
@@ -118,7 +118,7 @@ class Shader:
         if socket.node.type == "MIX_SHADER":
             factor = self._factor(socket.node, groups)
             inputs = inputs[1:] if factor == 1 else inputs[:1] if factor == 0 else inputs
-        return [resolve(s, groups) for s in inputs]
+        return [self.links.resolve(s, groups) for s in inputs]
 
     def _factor(self, node, groups):
         """The factor of a Mix Shader, 0 to 1, or None where it is not constant."""
@@ -162,17 +162,24 @@ class Shader:
             factor = float(np.clip(self.number(Closure(node, 1.0, groups), 0), 0, 1))
         return [1 - factor, factor]
 
+    def _resolve(self, closure, name):
+        """(socket, groups) that the input `name` of a closure takes its value from."""
+        try:
+            return self.links.resolve(closure.node.inputs[name], closure.groups)
+        except Circle as circle:
+            raise self._circle(circle) from None
+
     def _value(self, closure, name):
         """(socket, value) that the input `name` of a closure comes to, see `value_of`."""
-        socket, groups = resolve(closure.node.inputs[name], closure.groups)
-        return socket, value_of(socket, groups, self.attributes)
+        socket, groups = self._resolve(closure, name)
+        return socket, value_of(socket, groups, self.links, self.attributes)
 
     def _average(self, closure, name):
         """(socket, value) of an input `name`: a number or (3,), of an image its mean."""
-        socket, groups = resolve(closure.node.inputs[name], closure.groups)
+        socket, _groups = self._resolve(closure, name)
         if socket.is_output and socket.node.type in IMAGES:
             return socket, self._image_average(socket)
-        value = value_of(socket, groups, self.attributes)
+        socket, value = self._value(closure, name)
         if isinstance(value, (Scaled, Unread)):
             raise self._refusal(value.node if isinstance(value, Unread) else socket.node)
         return socket, value
@@ -181,6 +188,12 @@ class Shader:
         return self.error(
             f"'{self.owner.name}' takes a value from the node '{_called(node)}', which has "
             f"no single colour; use a plain value or an image{self.or_preset}."
+        )
+
+    def _circle(self, circle):
+        return self.error(
+            f"The links of '{self.owner.name}' lead in a circle at the node "
+            f"'{circle.node.name}'; remove one of them."
         )
 
     def _image_average(self, socket):

@@ -76,11 +76,7 @@ class Reader:
     instances_lit: bool = False
     notes: list = field(default_factory=list)
 
-    def __getstate__(self):
-        return vars(self) | {"depsgraph": None}  # it stays in Blender
-
-    def tell_override(self):
-        """Add a note where the view layer shows a material in place of all others."""
+    def __post_init__(self):
         layer = self.depsgraph.view_layer
         if layer.material_override:
             self.notes.append(
@@ -88,6 +84,9 @@ class Reader:
                 f"'{layer.material_override.name}', which shows none of the light. It was baked "
                 "for the materials behind that; clear Material Override to see it."
             )
+
+    def __getstate__(self):
+        return vars(self) | {"depsgraph": None}  # it stays in Blender
 
     def volume_optics(self, ob, materials, fallback):
         """The first `VolumeOptics` of `materials`, or None where a preset stands in for them.
@@ -170,7 +169,6 @@ def open_sources(objects, reader):
     for ob in objects:
         if not ob.visible_get(view_layer=reader.depsgraph.view_layer):
             raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
-    reader.tell_override()
     surfaces = [ob for ob in objects if _is_surface(ob)]
     parts = defaultdict(list)
     for part in world_parts(reader.depsgraph, surfaces):

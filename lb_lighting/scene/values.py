@@ -2,10 +2,11 @@
 """What the inputs of shader nodes come to: constants, and grids times a number."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from .links import Circle, Nothing, postorder, resolve
+from .links import Circle, Nothing, postorder
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, as Blender turns colour into a number
 
@@ -32,20 +33,21 @@ class Unread:
     node: object
 
 
-def value_of(socket, groups=(), attributes=None):
-    """What a socket comes to: a float, (3,) of a colour or vector, `Scaled` or `Unread`.
+def value_of(socket, groups, links, attributes=None):
+    """What a resolved socket comes to: a float, (3,) of a colour or vector, `Scaled` or `Unread`.
 
+    links       `Links`
     attributes  function that takes the type and the name of an attribute of objects or view layers
                 and returns (4,), or None where they are not known
     """
-    start, values = resolve(socket, groups), {}
+    values = {}
     try:
-        order = postorder(start, _operands)
+        order = postorder((socket, groups), partial(_operands, links))
     except Circle as circle:
         return Unread(circle.node)
     for key, operands in order.items():
         values[key] = _value(key[0], operands, [values[k] for k in operands], attributes)
-    return values[start]
+    return values[socket, groups]
 
 
 def as_number(value, socket):
@@ -55,12 +57,12 @@ def as_number(value, socket):
     return float(np.mean(value) if socket.type == "VECTOR" else LUMINANCE @ value)
 
 
-def _operands(key):
+def _operands(links, key):
     """[(socket, groups)] that the value of a (socket, groups) is computed from."""
     socket, groups = key
     if not socket.is_output or socket.node.type not in _COMPUTED:
         return []
-    return [resolve(s, groups) for s in socket.node.inputs if s.enabled]
+    return [links.resolve(s, groups) for s in socket.node.inputs if s.enabled]
 
 
 def _value(socket, keys, operands, attributes):
