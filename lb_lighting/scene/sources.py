@@ -77,8 +77,8 @@ class Reader:
     notes: list = field(default_factory=list)
 
     def __post_init__(self):
-        layer = self.depsgraph.view_layer
-        if layer.material_override:
+        layer = self.depsgraph and self.depsgraph.view_layer
+        if layer and layer.material_override:
             self.notes.append(
                 f"The view layer '{layer.name}' overrides all materials with "
                 f"'{layer.material_override.name}', which shows none of the light. It was baked "
