@@ -100,9 +100,12 @@ def volume_optics(material, attributes=None):
     Definitions as in Cycles (intern/cycles/kernel/svm/closure.h), which the tests hold it to.
     Raises SceneError for nodes that cannot be read as constants times one density attribute.
     """
-    if not has_volume(material):
+    if material is None:
         return None
     shader = Shader(material, attributes=attributes)
+    if not has_volume(material):
+        shader.refuse_circle()
+        return None
     closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
     parts = [_volume_closure(shader, closure) for closure in closures]
     # What is of no density does not matter, whatever grid it has.
@@ -145,9 +148,11 @@ def has_volume(material):
 def first_volume(materials):
     """The one of the `materials` of a grid's slots that Cycles renders it with, or None.
 
-    It is the first that has a volume; for an empty slot Cycles has a material of its own.
+    It is the first that has a volume, or just the first where none has; for an empty slot Cycles
+    has a material of its own.
     """
-    return next((m for m in materials if m is None or has_volume(m)), None)
+    first = materials[0] if materials else None
+    return next((m for m in materials if m is None or has_volume(m)), first)
 
 
 def volume_shines(material):

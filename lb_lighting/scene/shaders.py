@@ -51,6 +51,13 @@ class Shader:
         except Circle as circle:
             raise self._circle(circle) from None
 
+    def refuse_circle(self):
+        """Raise the error for links that form a circle, because of which nothing is rendered."""
+        try:
+            refuse_circle(self.owner.node_tree)
+        except Circle as circle:
+            raise self._circle(circle) from None
+
     def reaching(self, output):
         """[Closure] of any type that may reach the socket `output`, however they are mixed."""
         try:

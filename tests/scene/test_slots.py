@@ -118,6 +118,17 @@ def test_an_empty_first_slot_is_no_material(materials, tmp_path):
     assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
 
 
+def test_a_circle_of_links_is_refused(tmp_path):
+    """Cycles renders nothing of it; no preset stands in."""
+    ob = scenery.add_fog(tmp_path)
+    tree = ob.active_material.node_tree
+    first, second = (tree.nodes.new("ShaderNodeAddShader") for _ in range(2))
+    tree.links.new(first.outputs[0], second.inputs[0])
+    tree.links.new(second.outputs[0], first.inputs[0])
+    with pytest.raises(SceneError, match="The links of 'fog' lead in a circle at the node 'Add"):
+        read(ob)
+
+
 def test_smoke_has_the_first_that_has_a_volume():
     """An empty slot of a mesh has a plain surface."""
     ob = scenery.add_ball(material=surface("ShaderNodeBsdfDiffuse"))
