@@ -93,7 +93,7 @@ def active_output(tree):
 
 def refuse_circle(tree):
     """Raise `Circle` for a tree whose links form one: Cycles renders nothing of it."""
-    for link in tree.links:
+    for link in tree.links if tree else ():
         ends = link.from_socket, link.to_socket
         # A link of a closure to a value, or of a socket that is not in use, is invalid, too.
         is_shader = [end.type == "SHADER" for end in ends]

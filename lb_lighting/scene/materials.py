@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..transport.medium import Optics
-from .shaders import Shader
+from .shaders import Shader, may_be_positive
 from .values import Scaled
 
 VOLUME_NODES = {
@@ -136,12 +136,9 @@ def has_surface(material):
 
 def has_volume(material):
     """Whether a volume is rendered, be it one that `volume_optics` can read or not."""
-    if material is None:
-        return False
-    shader = Shader(material)
-    return any(
-        closure.node.type != "EMISSION" or _shines(shader, closure)
-        for closure in shader.reaching("Volume")
+    return material is not None and any(
+        closure.node.type != "EMISSION" or _shines(closure)
+        for closure in Shader(material).reaching("Volume")
     )
 
 
@@ -157,15 +154,14 @@ def first_volume(materials):
 
 def volume_shines(material):
     """Whether the volume of a material makes light itself."""
-    if material is None:
-        return False
-    shader = Shader(material)
-    return any(_shines(shader, closure) for closure in shader.reaching("Volume"))
+    return material is not None and any(map(_shines, Shader(material).reaching("Volume")))
 
 
-def _shines(shader, closure):
-    inputs = EMISSION_INPUTS.get(closure.node.type, ())
-    return any(all(shader.may_be_positive(closure, name) for name in factors) for factors in inputs)
+def _shines(closure):
+    return any(
+        all(may_be_positive(closure, name) for name in factors)
+        for factors in EMISSION_INPUTS.get(closure.node.type, ())
+    )
 
 
 def leaf_optics(material, attributes=None):

@@ -9,7 +9,7 @@ from ..errors import SceneError
 from .links import Circle, Links, active_output, postorder, refuse_circle, resolve
 from .values import LUMINANCE, Scaled, Unread, as_number, value_of
 
-__all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "resolve"]
+__all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "may_be_positive", "resolve"]
 
 IMAGES = {"TEX_IMAGE", "TEX_ENVIRONMENT"}
 
@@ -72,31 +72,23 @@ class Shader:
 
     def color(self, closure, name):
         """(3,): the input `name` of a closure, averaged where an image feeds it."""
-        _socket, value = self._average(closure, name)
-        return np.broadcast_to(value, 3)
+        return np.broadcast_to(self._average(*self._resolve(closure, name)), 3)
 
     def number(self, closure, name):
         """The input `name` of a closure, averaged where an image feeds it."""
-        socket, value = self._average(closure, name)
-        return as_number(value, socket)
+        socket, groups = self._resolve(closure, name)
+        return as_number(self._average(socket, groups), socket)
 
     def scaled_attribute(self, closure, name):
         """The input `name` of a closure that is a number, times an attribute or not: `Scaled`."""
-        socket, value = self._value(closure, name)
-        value = as_number(value, socket)
+        socket, groups = self._resolve(closure, name)
+        value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         if isinstance(value, Unread):
             raise self.error(
                 f"'{self.owner.name}' computes its {name.lower()} with the node "
                 f"'{_called(value.node)}'; only an attribute times a number can be converted."
             )
         return value if isinstance(value, Scaled) else Scaled(value)
-
-    def may_be_positive(self, closure, name):
-        """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
-        value = self._value(closure, name)[1]
-        if isinstance(value, Unread):
-            return True
-        return bool(np.any(np.greater(value.scale if isinstance(value, Scaled) else value, 0)))
 
     def text(self, closure, name):
         """The text that the input `name` of a closure holds."""
@@ -123,14 +115,14 @@ class Shader:
             return []
         inputs = [s for s in socket.node.inputs if s.type == "SHADER"]
         if socket.node.type == "MIX_SHADER":
-            factor = self._factor(socket.node, groups)
+            factor = self._factor(socket.node.inputs[0], groups)
             inputs = inputs[1:] if factor == 1 else inputs[:1] if factor == 0 else inputs
         return [self.links.resolve(s, groups) for s in inputs]
 
-    def _factor(self, node, groups):
-        """The factor of a Mix Shader, 0 to 1, or None where it is not constant."""
-        socket, value = self._value(Closure(node, 1.0, groups), 0)
-        value = as_number(value, socket)
+    def _factor(self, socket, groups):
+        """How much of the second shader a Mix Shader takes, 0 to 1; None for no constant."""
+        socket, groups = self.links.resolve(socket, groups)
+        value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         return None if isinstance(value, (Scaled, Unread)) else float(np.clip(value, 0, 1))
 
     def _weighed(self, tree, known, ignored):
@@ -152,17 +144,20 @@ class Shader:
             elif socket.node.type in known:
                 found.append(Closure(socket.node, weight, groups))
             else:
-                raise self.error(
-                    f"'{self.owner.name}' uses the node '{_called(socket.node)}', which cannot be "
-                    f"converted; replace it{self.or_preset}."
-                )
+                self._refuse_closure(socket.node)
         return found[::-1]
+
+    def _refuse_closure(self, node):
+        raise self.error(
+            f"'{self.owner.name}' uses the node '{_called(node)}', which cannot be "
+            f"converted; replace it{self.or_preset}."
+        )
 
     def _shares(self, node, groups):
         """The shares of what `_mixed` returns for a node."""
         if node.type == "ADD_SHADER":
             return [1.0, 1.0]
-        factor = self._factor(node, groups)
+        factor = self._factor(node.inputs[0], groups)
         if factor in {0.0, 1.0}:
             return [1.0]
         if factor is None:
@@ -176,20 +171,14 @@ class Shader:
         except Circle as circle:
             raise self._circle(circle) from None
 
-    def _value(self, closure, name):
-        """(socket, value) that the input `name` of a closure comes to, see `value_of`."""
-        socket, groups = self._resolve(closure, name)
-        return socket, value_of(socket, groups, self.links, self.attributes)
-
-    def _average(self, closure, name):
-        """(socket, value) of an input `name`: a number or (3,), of an image its mean."""
-        socket, _groups = self._resolve(closure, name)
+    def _average(self, socket, groups):
+        """The value of a resolved socket: a number or (3,), of an image its mean."""
         if socket.is_output and socket.node.type in IMAGES:
-            return socket, self._image_average(socket)
-        socket, value = self._value(closure, name)
+            return self._image_average(socket)
+        value = value_of(socket, groups, self.links, self.attributes)
         if isinstance(value, (Scaled, Unread)):
             raise self._refusal(value.node if isinstance(value, Unread) else socket.node)
-        return socket, value
+        return value
 
     def _refusal(self, node):
         return self.error(
@@ -221,6 +210,15 @@ class Shader:
             return float(alpha.mean())
         # The colour of pixels that are cut away is not seen.
         return np.average(pixels[..., :3], axis=(0, 1), weights=alpha if alpha.any() else None)
+
+
+def may_be_positive(closure, name):
+    """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
+    socket, groups = resolve(closure.node.inputs[name], closure.groups)
+    value = value_of(socket, groups, Links())
+    if isinstance(value, Unread):
+        return True
+    return bool(np.any(np.greater(value.scale if isinstance(value, Scaled) else value, 0)))
 
 
 def linear_pixels(image):
