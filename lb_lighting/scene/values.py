@@ -95,11 +95,9 @@ def _held(socket):
 
 def _attribute(node, socket, attributes):
     if node.attribute_type == "GEOMETRY":
-        if not node.attribute_name:
-            return 0.0
-        # Where there is a grid, its alpha is 1, but 0 where there is none.
-        alpha = socket.identifier == "Alpha"
-        return Unread(node) if alpha else Scaled(1.0, node.attribute_name)
+        # The alpha of a grid is 1, but 0 where there is none.
+        is_grid = node.attribute_name and socket.identifier != "Alpha"
+        return Scaled(1.0, node.attribute_name) if is_grid else Unread(node)
     if attributes is None:
         return Unread(node)
     *color, alpha = attributes(node.attribute_type, node.attribute_name)

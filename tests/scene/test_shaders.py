@@ -182,7 +182,6 @@ STRENGTHS = {  # what feeds a strength that is 3 by itself
     "a mix beyond its ends, not clamped": lambda tree: computed(
         tree, MIX, 1.5, 1.0, 3.0, clamp_factor=False
     ),
-    "an attribute without a name": lambda tree: attribute(tree, ""),
 }
 
 
@@ -560,6 +559,10 @@ class TestDensities:
         with pytest.raises(SceneError, match="'fog' computes its density with the node 'Math'"):
             self.density(build)
 
+    def test_an_attribute_without_a_name_is_refused(self):
+        with pytest.raises(SceneError, match="its density with the node 'Attribute'"):
+            self.density(lambda tree: attribute(tree, ""))
+
     def test_alpha_and_the_color_of_volume_info_are_refused(self):
         with pytest.raises(SceneError, match="its density with the node 'Attribute'"):
             self.density(lambda tree: attribute(tree, "smoke", "Alpha"))
@@ -603,7 +606,6 @@ DENSITIES = {  # of a grid of density 0.5
     "a vector, times a grey": lambda tree: computed(
         tree, "ShaderNodeVectorMath", smoke(tree, "Vector"), (2, 2, 2), operation="MULTIPLY"
     ),
-    "a grid that there is not": lambda tree: attribute(tree, ""),
     "a muted product": lambda tree: muted(tree, MATH, smoke(tree), 6.0, operation="MULTIPLY"),
 }
 
