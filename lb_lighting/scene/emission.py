@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SceneError
+from .black_body import black_body_color
 from .shaders import Shader
 from .values import Scaled
 from .volumes import resample_array
@@ -17,14 +18,6 @@ SHINING_NODES = {"EMISSION", "PRINCIPLED_VOLUME", "VOLUME_COEFFICIENTS"}
 DARK_NODES = {"VOLUME_SCATTER", "VOLUME_ABSORPTION"}
 # Stefan's and Boltzmann's constant over pi, W/(m^2 sr K^4), and Cycles' scale of it.
 _BLACK = 5.670373e-8 / np.pi * 1e-6
-_COLDEST, _HOTTEST = 800.0, 12000.0  # K, between which Blender knows colours
-# Of the colours that Blender gives black bodies: polynomials in the logarithm of the temperature in
-# 1000 K, by band, the highest power first. Fitted to them; they are within 0.002 (the tests).
-_BLACK_COLORS = (
-    (-0.0205316, 0.189166, -0.676005, 0.985976, 0.440387, -3.59694, 4.6013),
-    (0.00460183, -0.04879, 0.198716, -0.31755, -0.141376, 1.07191, 0.0389298),
-    (-0.00754266, 0.119195, -0.638263, 1.38747, -0.954002, 0.469202, -0.179434),
-)
 
 
 @dataclass(frozen=True)
@@ -81,15 +74,6 @@ class BlackBody:
         kelvin = np.maximum(self.temperature.of(values), 0.0)
         strength = np.where(share > 0, _BLACK * np.maximum(1 + share * (kelvin**4 - 1), 0), 0)
         return strength[..., None] * black_body_color(kelvin) * self.tint
-
-
-def black_body_color(kelvin):
-    """(..., 3): the linear colour (Rec. 709), of a luminance of 1, that Blender gives a black body.
-
-    kelvin  (...) K, its temperature
-    """
-    logarithm = np.log(np.clip(kelvin, _COLDEST, _HOTTEST) / 1000)
-    return np.maximum(np.stack([np.polyval(c, logarithm) for c in _BLACK_COLORS], axis=-1), 0)
 
 
 def volume_glows(material, attributes=None):

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from .black_body import black_body_color
 from .links import Circle, Nothing, postorder
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, as Blender turns colour into a number
@@ -144,6 +145,11 @@ def _mix(node, operands, sources):
     return _within(result, 0, 1) if node.data_type == "RGBA" and node.clamp_result else result
 
 
+def _black_body(_node, operands, sources):
+    kelvin = as_number(operands[0], sources[0])
+    return black_body_color(kelvin) if _is_constant(kelvin) else None
+
+
 def _blended(factor, first, second, how):
     if factor == 0:
         return first
@@ -224,4 +230,10 @@ _OPERATIONS = {
     "MINIMUM": _at_most,
     "MAXIMUM": _at_least,
 }
-_COMPUTED = {"MATH": _math, "VECT_MATH": _vector_math, "CLAMP": _clamp, "MIX": _mix}
+_COMPUTED = {
+    "MATH": _math,
+    "VECT_MATH": _vector_math,
+    "CLAMP": _clamp,
+    "MIX": _mix,
+    "BLACKBODY": _black_body,
+}

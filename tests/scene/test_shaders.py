@@ -205,6 +205,15 @@ def test_numbers_are_those_of_cycles(build, render):
     assert shine(material) == pytest.approx(rendered(material, render), abs=1e-4)
 
 
+def test_the_color_of_a_black_body_is_that_of_cycles(render):
+    material = make_material()
+    tree = material.node_tree
+    shade = computed(tree, "ShaderNodeBlackbody", number(tree, 1800.0))
+    connect(material, emission(tree, shade).node, "Surface")
+    # The fit to Blender's colours is within 0.002.
+    assert shine(material) == pytest.approx(rendered(material, render), abs=2e-3)
+
+
 def test_a_muted_link_brings_nothing(render):
     material = surface("ShaderNodeEmission", Color=RED)
     tree = material.node_tree
