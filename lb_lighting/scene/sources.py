@@ -106,16 +106,20 @@ class Reader:
             self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
         return found[0]
 
-    def glows(self, ob, materials):
+    def glows(self, ob, materials, optics):
         """[Glow | BlackBody] that the volumes of `materials` shine with.
 
-        None for those that cannot be read, with a note.
+        None for those that cannot be read, with a note, or SceneError where nothing else is to be
+        seen of their `optics`.
         """
         try:
             attributes = object_attributes(ob, self.depsgraph)
             return [glow for m in materials for glow in volume_glows(m, attributes)]
         except SceneError as error:
-            if any(map(volume_shines, materials)):
+            shines = any(map(volume_shines, materials))
+            if shines and optics and optics.is_clear:
+                raise
+            if shines:
                 self.notes.append(
                     f"'{ob.name}' shines by itself, which does not light it, and Replace leaves "
                     f"that out. {error}"
@@ -254,7 +258,7 @@ class _GridSource(_Source):
         super().__init__(ob, reader)
         material = first_volume(materials)
         self.material = reader.volume_optics(ob, [material], self.preset)
-        self.glows = reader.glows(ob, [material])
+        self.glows = reader.glows(ob, [material], self.material)
         self.grid_name = self._grid_name(known)
         self._tell_even()
 
@@ -265,8 +269,8 @@ class _GridSource(_Source):
             return self.reader.grid or named
         shining = [name for glow in self.glows for name in glow.grids]
         is_clear = self.material and self.material.is_clear
-        names = [*shining, "density"] if is_clear else ["density", *shining]
-        return next((name for name in names if name in known), "density")
+        names = (shining or ["density"]) if is_clear else ["density", *shining]
+        return next((name for name in names if name in known), names[0])
 
     def _tell_even(self):
         """Add a note on a material that fills its grid, which Cycles does not render."""
@@ -457,7 +461,7 @@ class SolidSource(_SurfaceSource):
                 f"'{self.material.density_attribute}', which a mesh does not have inside, so "
                 "Cycles renders nothing of it; give its material a plain density."
             )
-        self.glows = reader.glows(ob, materials)
+        self.glows = reader.glows(ob, materials, self.material)
 
     @property
     def is_volume(self):

@@ -10,7 +10,7 @@ from lb_lighting.scene import smoke
 from lb_lighting.scene.sources import FROM_MATERIAL, Reader, open_sources
 from lb_lighting.transport.medium import Domain
 from tests import scenery
-from tests.scene.nodes import add_node, attribute, connect, make_material, surface
+from tests.scene.nodes import add_node, attribute, combine, connect, make_material, surface
 
 DOMAIN = Domain.around((-1, -1, -1), (1, 1, 1), 20)
 
@@ -156,6 +156,29 @@ class TestGrids:
         assert note.startswith("The material of 'fog' reads no grid, so Cycles renders nothing")
         assert set(np.unique(source.shares(DOMAIN)[0].density)) == {0, 1}
         assert read(ob, grid="density")[1] == []
+
+    def test_what_only_shines_has_to_be_read(self, tmp_path):
+        """Where there is more to see, a note says that the glow is left out."""
+        ob = scenery.add_fog(tmp_path, material=False)
+        material = glow()
+        ob.data.materials.append(material)
+        tree = material.node_tree
+        noise = tree.nodes.new("ShaderNodeTexNoise")
+        tree.links.new(noise.outputs[1], tree.nodes["Emission"].inputs["Color"])
+        with pytest.raises(SceneError, match="'glow' takes a value from the node 'Noise Texture'"):
+            read(ob)
+        both = combine(tree, tree.nodes["Emission"], add_node(tree, "ShaderNodeVolumeScatter"))
+        connect(material, both, "Volume")
+        notes = read(ob)[1]
+        assert any(note.startswith("'fog' shines by itself, which does not") for note in notes)
+
+    def test_what_only_shines_by_a_grid_that_is_missing_is_refused(self, tmp_path):
+        ob = scenery.add_fog(tmp_path, material=False)
+        material = glow()
+        ob.data.materials.append(material)
+        material.node_tree.nodes["Attribute"].attribute_name = "fire"
+        with pytest.raises(SceneError, match="'fog' has no grid 'fire'; choose one of: density"):
+            read(ob)
 
     def test_a_clamped_density_is_clamped_before_it_is_averaged(self, tmp_path):
         """Voxels of 0.25 and of 1, half of each, at most 0.5: 0.375 where both are in one."""
