@@ -4,26 +4,20 @@
 Materials are read in Blender; `shining` needs none, and is done in the solver's process.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import SceneError
+from .black_body import black_body_color
 from .shaders import Shader
+from .values import Scaled
 from .volumes import resample_array
 
 SHINING_NODES = {"EMISSION", "PRINCIPLED_VOLUME", "VOLUME_COEFFICIENTS"}
 DARK_NODES = {"VOLUME_SCATTER", "VOLUME_ABSORPTION"}
 # Stefan's and Boltzmann's constant over pi, W/(m^2 sr K^4), and Cycles' scale of it.
 _BLACK = 5.670373e-8 / np.pi * 1e-6
-_COLDEST, _HOTTEST = 800.0, 12000.0  # K, between which Blender knows colours
-# Of the colours that Blender gives black bodies: polynomials in the logarithm of the temperature in
-# 1000 K, by band, the highest power first. Fitted to them; they are within 0.002 (the tests).
-_BLACK_COLORS = (
-    (-0.0205316, 0.189166, -0.676005, 0.985976, 0.440387, -3.59694, 4.6013),
-    (0.00460183, -0.04879, 0.198716, -0.31755, -0.141376, 1.07191, 0.0389298),
-    (-0.00754266, 0.119195, -0.638263, 1.38747, -0.954002, 0.469202, -0.179434),
-)
 
 
 @dataclass(frozen=True)
@@ -32,18 +26,22 @@ class Glow:
 
     color     (3,) W/(m^3 sr), at a strength of 1
     strength  name of the grid that it is multiplied by, or None
+    limit     what counts of that grid at most
     """
 
     color: tuple
     strength: str | None = None
+    limit: float = np.inf
 
     @property
     def grids(self):
         return [self.strength] if self.strength else []
 
+    needed = grids  # those without which there is no light
+
     def radiance(self, values):
         """(..., 3) W/(m^3 sr) where the grids have the `values`, {name: (...)}."""
-        strength = values[self.strength] if self.strength else 1.0
+        strength = Scaled(1.0, self.strength, self.limit).of(values)
         return np.multiply.outer(strength, self.color)
 
 
@@ -51,48 +49,44 @@ class Glow:
 class BlackBody:
     """Emission by temperature, as a Principled Volume has it.
 
-    tint              (3,), a factor
-    intensity         share, 0 to 1 or more, that Stefan's and Boltzmann's law has in the strength
-    temperature       K
-    intensity_grid, temperature_grid  names of grids that these are multiplied by, or None
+    tint         (3,), a factor
+    intensity    share, 0 to 1 or more, that Stefan's and Boltzmann's law has in the strength
+    temperature  K; both are `Scaled`
+    named        whether the temperature's grid is only named, so that it counts as 1 without it
     """
 
     tint: tuple
-    intensity: float
-    temperature: float
-    intensity_grid: str | None
-    temperature_grid: str | None
+    intensity: Scaled
+    temperature: Scaled
+    named: bool = True
 
     @property
     def grids(self):
-        return [name for name in (self.intensity_grid, self.temperature_grid) if name]
+        return [s.attribute for s in (self.intensity, self.temperature) if s.attribute]
+
+    @property
+    def needed(self):
+        return [n for n in self.grids if not self.named or n != self.temperature.attribute]
 
     def radiance(self, values):
         """(..., 3) W/(m^3 sr) where the grids have the `values`, {name: (...)}."""
-        share = self.intensity * values.get(self.intensity_grid, 1.0)
-        kelvin = self.temperature * np.maximum(values.get(self.temperature_grid, 1.0), 0.0)
+        share = self.intensity.of(values)
+        kelvin = np.maximum(self.temperature.of(values), 0.0)
         strength = np.where(share > 0, _BLACK * np.maximum(1 + share * (kelvin**4 - 1), 0), 0)
         return strength[..., None] * black_body_color(kelvin) * self.tint
 
 
-def black_body_color(kelvin):
-    """(..., 3): the linear colour (Rec. 709), of a luminance of 1, that Blender gives a black body.
-
-    kelvin  (...) K, its temperature
-    """
-    logarithm = np.log(np.clip(kelvin, _COLDEST, _HOTTEST) / 1000)
-    return np.maximum(np.stack([np.polyval(c, logarithm) for c in _BLACK_COLORS], axis=-1), 0)
-
-
-def volume_glows(material):
+def volume_glows(material, attributes=None):
     """[Glow | BlackBody] of the volume of a material.
+
+    attributes  what finds the attributes of the object that shows it, see attributes.py
 
     Definitions as in Cycles, which the tests hold it to: emission does not follow the density.
     Raises SceneError for nodes that cannot be read.
     """
     if material is None:
         return []
-    shader = Shader(material)
+    shader = Shader(material, attributes=attributes)
     found = shader.closures("Volume", SHINING_NODES, ignored=DARK_NODES)
     return [glow for closure in found for glow in _glows(shader, closure)]
 
@@ -103,29 +97,32 @@ def _glows(shader, closure):
         color = closure.weight * shader.color(closure, "Emission Coefficients")
         return [Glow(tuple(color))] if color.any() else []
     names = ("Color", "Strength") if kind == "EMISSION" else ("Emission Color", "Emission Strength")
-    strength, grid = shader.scaled_attribute(closure, names[1])
+    strength = shader.scaled_attribute(closure, names[1])
     glows = []
-    if strength > 0:
-        color = closure.weight * strength * shader.color(closure, names[0])
-        glows = [Glow(tuple(color), grid)] if color.any() else []
+    if strength.scale > 0:
+        color = closure.weight * strength.scale * shader.color(closure, names[0])
+        glow = Glow(tuple(color), strength.attribute, strength.limit)
+        glows = [glow] if color.any() else []
     if kind == "PRINCIPLED_VOLUME":
         glows += _black_body(shader, closure)
     return glows
 
 
 def _black_body(shader, closure):
-    intensity, intensity_grid = shader.scaled_attribute(closure, "Blackbody Intensity")
+    intensity = shader.scaled_attribute(closure, "Blackbody Intensity")
     tint = closure.weight * shader.color(closure, "Blackbody Tint")
-    if intensity <= 0 or not tint.any():
+    if intensity.scale <= 0 or not tint.any():
         return []
-    temperature, linked = shader.scaled_attribute(closure, "Temperature")
-    named = shader.text(closure, "Temperature Attribute") or None
-    if named and linked:
+    temperature = shader.scaled_attribute(closure, "Temperature")
+    named = shader.text(closure, "Temperature Attribute")
+    if named and temperature.attribute:
         raise SceneError(
-            f"'{shader.owner.name}' multiplies the temperatures '{named}' and '{linked}'; clear "
-            "one of them."
+            f"'{shader.owner.name}' multiplies the temperatures '{named}' and "
+            f"'{temperature.attribute}'; clear one of them."
         )
-    return [BlackBody(tuple(tint), intensity, temperature, intensity_grid, named or linked)]
+    if named:
+        temperature = replace(temperature, attribute=named)
+    return [BlackBody(tuple(tint), intensity, temperature, named=bool(named))]
 
 
 def shining(glows, cells, inside, domain):
@@ -133,13 +130,13 @@ def shining(glows, cells, inside, domain):
 
     Between voxels what they shine with is interpolated, not their temperatures, as in Cycles.
 
-    cells   {name: `Cells`} of the grids that there are: others are 0, but as temperatures 1
+    cells   {name: `Cells`} of the grids that there are: others are 0, named temperatures 1
     inside  `Cells` over 0 where what has no grid shines
     """
     total = np.zeros((3, *domain.shape), np.float32)
     for glow in glows:
         known = [name for name in glow.grids if name in cells]
-        if isinstance(glow, Glow) and len(known) < len(glow.grids):
+        if not set(glow.needed) <= set(known):
             continue
         place = cells[known[0]] if known else inside
         radiance = glow.radiance({name: cells[name].at(place) for name in known})

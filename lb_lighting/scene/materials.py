@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender materials as optical coefficients: volumes, and leaves as a turbid medium."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from ..errors import SceneError
 from ..ours import TAG
 from ..transport.medium import Optics
 from .shaders import Shader, may_be_positive
+from .values import Scaled
 
 VOLUME_NODES = {
     "PRINCIPLED_VOLUME",
@@ -18,9 +19,14 @@ VOLUME_NODES = {
 }
 REFLECTING_NODES = {"BSDF_DIFFUSE", "BSDF_GLOSSY", "SUBSURFACE_SCATTERING"}
 LEAF_NODES = REFLECTING_NODES | {"BSDF_PRINCIPLED", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT"}
+# Inputs of which all of one row have to be positive for a closure to shine.
 EMISSION_INPUTS = {
-    "EMISSION": ["Strength"],
-    "PRINCIPLED_VOLUME": ["Emission Strength", "Blackbody Intensity"],
+    "EMISSION": [("Strength", "Color")],
+    "PRINCIPLED_VOLUME": [
+        ("Emission Strength", "Emission Color"),
+        ("Blackbody Intensity", "Blackbody Tint"),
+    ],
+    "VOLUME_COEFFICIENTS": [("Emission Coefficients",)],
 }
 BAKED_VOLUME = "LB Volume Light"  # what the node group of a baked volume is tagged with
 DEFAULT_REFLECTANCE = 0.8  # of a surface without a material, as Cycles renders it
@@ -30,12 +36,22 @@ DEFAULT_REFLECTANCE = 0.8  # of a surface without a material, as Cycles renders 
 class VolumeOptics:
     """A volume material.
 
-    optics             `Optics` where the density attribute is 1, or everywhere without one
+    optics             `Optics` where the density attribute is 1, or everywhere without one; of
+                       a volume that only shines, 0
     density_attribute  name of the grid that multiplies the coefficients, or None
+    limit              what counts of that grid at most
+    needs_grid         whether a volume without that grid is empty, not of density 1
     """
 
     optics: Optics
     density_attribute: str | None
+    limit: float = np.inf
+    needs_grid: bool = False
+
+    @property
+    def is_clear(self):
+        """Whether light passes as if it were not there."""
+        return not np.any(np.add(self.optics.sigma_s, self.optics.sigma_a))
 
 
 @dataclass(frozen=True)
@@ -78,33 +94,41 @@ def tinted(optics, color):
     return grey(Optics(tuple(scattered), tuple(absorbed), optics.g))
 
 
-def volume_optics(material):
+def volume_optics(material, attributes=None):
     """The `VolumeOptics` of a material, or None where it has no volume.
+
+    attributes  what finds the attributes of the object that shows it, see attributes.py
 
     Definitions as in Cycles (intern/cycles/kernel/svm/closure.h), which the tests hold it to.
     Raises SceneError for nodes that cannot be read as constants times one density attribute.
     """
+    if material is None:
+        return None
     if baked := _baked_optics(material):
         return baked
-    shader = Shader(material)
-    closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
-    if not closures:
+    shader = Shader(material, attributes=attributes)
+    if not has_volume(material):
+        shader.refuse_circle()
         return None
+    closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
+    parts = [_volume_closure(shader, closure) for closure in closures]
+    # What is of no density does not matter, whatever grid it has.
+    parts = [part for part in parts if part[3].scale > 0]
     sigma_s, sigma_a, moment = np.zeros((3, 3))
-    attributes = set()
-    for closure in closures:
-        scattering, absorption, g, scale, attribute = _volume_closure(shader, closure)
-        sigma_s += scattering * scale
-        sigma_a += absorption * scale
-        moment += scattering * scale * g
-        attributes.add(attribute)
-    if len(attributes) > 1:
+    for scattering, absorption, g, density, _needs_grid in parts:
+        sigma_s += scattering * density.scale
+        sigma_a += absorption * density.scale
+        moment += scattering * density.scale * g
+    grids = {(density.attribute, density.limit) for *_, density, _needs_grid in parts}
+    if len(grids) > 1:
         raise SceneError(
             f"The volume nodes of '{material.name}' use different density attributes; "
             "give all of them the same."
         )
+    attribute, limit = grids.pop() if grids else (None, np.inf)
     g = np.divide(moment, sigma_s, out=np.zeros(3), where=sigma_s > 0)
-    return VolumeOptics(grey(Optics(tuple(sigma_s), tuple(sigma_a), tuple(g))), attributes.pop())
+    optics = grey(Optics(tuple(sigma_s), tuple(sigma_a), tuple(g)))
+    return VolumeOptics(optics, attribute, limit, any(part[4] for part in parts))
 
 
 def has_surface(material):
@@ -116,26 +140,44 @@ def has_surface(material):
 
 def has_volume(material):
     """Whether a volume is rendered, be it one that `volume_optics` can read or not."""
-    return material is not None and bool(Shader(material).reaching("Volume"))
+    return material is not None and any(
+        closure.node.type != "EMISSION" or _shines(closure)
+        for closure in Shader(material).reaching("Volume")
+    )
+
+
+def first_volume(materials):
+    """The one of the `materials` of a grid's slots that Cycles renders it with, or None.
+
+    It is the first that has a volume, or just the first where none has; for an empty slot Cycles
+    has a material of its own.
+    """
+    first = materials[0] if materials else None
+    return next((m for m in materials if m is None or has_volume(m)), first)
 
 
 def volume_shines(material):
     """Whether the volume of a material makes light itself."""
-    return material is not None and any(
-        may_be_positive(closure, name)
-        for closure in Shader(material).reaching("Volume")
-        for name in EMISSION_INPUTS.get(closure.node.type, ())
+    return material is not None and any(map(_shines, Shader(material).reaching("Volume")))
+
+
+def _shines(closure):
+    return any(
+        all(may_be_positive(closure, name) for name in factors)
+        for factors in EMISSION_INPUTS.get(closure.node.type, ())
     )
 
 
-def leaf_optics(material):
+def leaf_optics(material, attributes=None):
     """The `Leaf` that a surface material makes; a plain grey one for None.
+
+    attributes  what finds the attributes of the object that shows it, see attributes.py
 
     Raises SceneError for nodes that cannot be read, or that make light.
     """
     if material is None:
         return Leaf((DEFAULT_REFLECTANCE,) * 3, (0.0,) * 3)
-    shader = Shader(material)
+    shader = Shader(material, attributes=attributes)
     rho, tau, clear = np.zeros(3), np.zeros(3), 0.0
     for closure in shader.closures("Surface", LEAF_NODES, ignored={"EMISSION"}):
         reflected, transmitted, transparent = _leaf_closure(shader, closure)
@@ -166,29 +208,34 @@ def _baked_optics(material):
 
 
 def _volume_closure(shader, closure):
-    """(sigma_s (3,), sigma_a (3,), g, scale, density attribute), the first two at density 1."""
+    """(sigma_s (3,), sigma_a (3,), g, density, whether that needs its grid), the first two where
+    the density, `Scaled`, is 1."""
     kind = closure.node.type
     if kind == "VOLUME_COEFFICIENTS":
         scattering = shader.color(closure, "Scatter Coefficients")
         absorption = shader.color(closure, "Absorption Coefficients")
-        return scattering, absorption, _mean_cosine(shader, closure), closure.weight, None
-    density, attribute = shader.scaled_attribute(closure, "Density")
-    scale = closure.weight * max(0.0, density)
+        g = _mean_cosine(shader, closure)
+        return scattering, absorption, g, Scaled(closure.weight), False
+    density = shader.scaled_attribute(closure, "Density")
+    density = replace(density, scale=closure.weight * max(0.0, density.scale))
+    linked = density.attribute is not None
     color = shader.color(closure, "Color")
     if kind == "VOLUME_SCATTER":
-        return color, np.zeros(3), _mean_cosine(shader, closure), scale, attribute
+        return color, np.zeros(3), _mean_cosine(shader, closure), density, linked
     if kind == "VOLUME_ABSORPTION":
-        return np.zeros(3), np.maximum(0, 1 - color), 0.0, scale, attribute
+        return np.zeros(3), np.maximum(0, 1 - color), 0.0, density, linked
     _refuse_color_attribute(shader, closure)
-    own = shader.text(closure, "Density Attribute") or None
-    if own and attribute:
+    named = shader.text(closure, "Density Attribute")
+    if named and linked:
         raise SceneError(
-            f"'{shader.owner.name}' multiplies the density attributes '{own}' and '{attribute}'; "
-            "clear one of them."
+            f"'{shader.owner.name}' multiplies the density attributes '{named}' and "
+            f"'{density.attribute}'; clear one of them."
         )
+    if named:
+        density = replace(density, attribute=named)
     tint = np.sqrt(np.maximum(0, shader.color(closure, "Absorption Color")))
     absorption = np.maximum(0, 1 - color) * np.maximum(0, 1 - tint)
-    return color, absorption, shader.number(closure, "Anisotropy"), scale, own or attribute
+    return color, absorption, shader.number(closure, "Anisotropy"), density, linked
 
 
 def _refuse_color_attribute(shader, closure):

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SceneError
-from ..ours import is_ours
+from .links import Circle, Links, active_output, postorder, refuse_circle, resolve
+from .values import LUMINANCE, Scaled, Unread, as_number, value_of
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, as Blender turns colour into a number
+__all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "may_be_positive", "resolve"]
+
+IMAGES = {"TEX_IMAGE", "TEX_ENVIRONMENT"}
 
 
 @dataclass(frozen=True)
@@ -23,88 +26,170 @@ class Closure:
 class Shader:
     """The nodes of a material, world or light.
 
-    owner    that data-block; its name is in every error
-    error    the LightingError to raise for what cannot be read
+    owner       that data-block; its name is in every error
+    error       the LightingError to raise for what cannot be read
+    attributes  what finds the attributes of the object that shows it, see attributes.py, or None
+                where it is not known which object that is
     """
 
-    def __init__(self, owner, error=SceneError):
+    def __init__(self, owner, error=SceneError, attributes=None):
         self.owner = owner
         self.error = error
+        self.attributes = attributes
+        self.links = Links()
         # A preset stands in for a material, but not for a light.
         self.or_preset = ", or choose a preset" if error is SceneError else ""
 
     def closures(self, output, known, ignored=()):
-        """[Closure] that reach the socket `output` of the active output node.
+        """[Closure] that reach the socket `output` of the active output node, each node once.
 
         known    node types that may be there; any other raises the error
         ignored  node types that may be there and are left out
         """
-        node = self.owner.node_tree.get_output_node("CYCLES")
-        if node is None:
-            return []
-        return self._closures(node.inputs[output], (), 1.0, known, ignored)
+        try:
+            return self._weighed(self._tree(output), known, ignored)
+        except Circle as circle:
+            raise self._circle(circle) from None
+
+    def refuse_circle(self):
+        """Raise the error for links that form a circle, because of which nothing is rendered."""
+        try:
+            refuse_circle(self.owner.node_tree)
+        except Circle as circle:
+            raise self._circle(circle) from None
 
     def reaching(self, output):
         """[Closure] of any type that may reach the socket `output`, however they are mixed."""
-        node = self.owner.node_tree.get_output_node("CYCLES")
-        return list(_reaching(node.inputs[output], ())) if node else []
+        try:
+            tree = self._tree(output)
+        except Circle:
+            return []  # Cycles shows nothing of it
+        return [
+            Closure(socket.node, 1.0, groups)
+            for socket, groups in tree
+            if socket.is_output and not _mixes(socket)
+        ]
 
     def color(self, closure, name):
         """(3,): the input `name` of a closure, averaged where an image feeds it."""
-        value = self._average(*resolve(closure.node.inputs[name], closure.groups))
-        return np.broadcast_to(value, 3)
+        return np.broadcast_to(self._average(*self._resolve(closure, name)), 3)
 
     def number(self, closure, name):
         """The input `name` of a closure, averaged where an image feeds it."""
-        return self._number(closure.node.inputs[name], closure.groups)
+        socket, groups = self._resolve(closure, name)
+        return as_number(self._average(socket, groups), socket)
 
     def scaled_attribute(self, closure, name):
-        """(scale, attribute name or None) of an input that is a number times an attribute."""
-        return self._scaled_attribute(*resolve(closure.node.inputs[name], closure.groups))
+        """The input `name` of a closure that is a number, times an attribute or not: `Scaled`."""
+        socket, groups = self._resolve(closure, name)
+        value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
+        if isinstance(value, Unread):
+            raise self.error(
+                f"'{self.owner.name}' computes its {name.lower()} with the node "
+                f"'{_called(value.node)}'; only an attribute times a number can be converted."
+            )
+        return value if isinstance(value, Scaled) else Scaled(value)
 
     def text(self, closure, name):
         """The text that the input `name` of a closure holds."""
-        return resolve(closure.node.inputs[name], closure.groups)[0].default_value
+        socket, _groups = self._resolve(closure, name)
+        if socket.is_output:
+            raise self._refusal(socket.node)
+        return socket.default_value or ""
 
-    def _closures(self, socket, groups, weight, known, ignored):
-        socket, groups = resolve(socket, groups)
-        if not socket.is_output:
+    def _tree(self, output):
+        """{(socket, groups): [those that it mixes]} of all that reaches an output, in postorder."""
+        tree = self.owner.node_tree
+        if tree is None:
+            return {}
+        refuse_circle(tree)
+        node, groups = active_output(tree)
+        if node is None:
+            return {}
+        return postorder(self.links.resolve(node.inputs[output], groups), self._mixed)
+
+    def _mixed(self, key):
+        """[(socket, groups)] of what the node of a (socket, groups) mixes, without shares of 0."""
+        socket, groups = key
+        if not _mixes(socket):
             return []
-        node = socket.node
+        inputs = [s for s in socket.node.inputs if s.type == "SHADER"]
+        if socket.node.type == "MIX_SHADER":
+            factor = self._factor(socket.node.inputs[0], groups)
+            inputs = inputs[1:] if factor == 1 else inputs[:1] if factor == 0 else inputs
+        return [self.links.resolve(s, groups) for s in inputs]
+
+    def _factor(self, socket, groups):
+        """How much of the second shader a Mix Shader takes, 0 to 1; None for no constant."""
+        socket, groups = self.links.resolve(socket, groups)
+        value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
+        return None if isinstance(value, (Scaled, Unread)) else float(np.clip(value, 0, 1))
+
+    def _weighed(self, tree, known, ignored):
+        """[Closure] of what `_tree` returned, weighed by all the ways that lead to each."""
+        counts = {}  # whether anything is behind it that is not ignored
+        for (socket, groups), below in tree.items():
+            is_closure = socket.is_output and not _mixes(socket)
+            counts[socket, groups] = any(counts[key] for key in below) or (
+                is_closure and socket.node.type not in ignored
+            )
+        weights, found = dict.fromkeys(tree, 0.0) | dict.fromkeys(list(tree)[-1:], 1.0), []
+        for key, below in reversed(tree.items()):
+            (socket, groups), weight = key, weights[key]
+            if not counts[key]:
+                continue  # whatever drives the mix does not matter
+            if _mixes(socket):
+                for part, share in zip(below, self._shares(socket.node, groups), strict=True):
+                    weights[part] += weight * share
+            elif socket.node.type in known:
+                found.append(Closure(socket.node, weight, groups))
+            else:
+                self._refuse_closure(socket.node)
+        return found[::-1]
+
+    def _refuse_closure(self, node):
+        raise self.error(
+            f"'{self.owner.name}' uses the node '{_called(node)}', which cannot be "
+            f"converted; replace it{self.or_preset}."
+        )
+
+    def _shares(self, node, groups):
+        """The shares of what `_mixed` returns for a node."""
         if node.type == "ADD_SHADER":
-            first, second = (self._closures(s, groups, weight, known, ignored) for s in node.inputs)
-            return first + second
-        if node.type == "MIX_SHADER":
-            first, second = (
-                self._closures(s, groups, weight, known, ignored) for s in node.inputs[1:]
-            )
-            if not first + second:
-                return []  # whatever drives the mix does not matter
-            factor = float(np.clip(self._number(node.inputs[0], groups), 0, 1))
-            return _weighted(first, 1 - factor) + _weighted(second, factor)
-        if node.type in ignored:
-            return []
-        if node.type not in known:
-            raise self.error(
-                f"'{self.owner.name}' uses the node '{node.bl_label}', which cannot be converted; "
-                f"replace it{self.or_preset}."
-            )
-        return [Closure(node, weight, groups)]
+            return [1.0, 1.0]
+        factor = self._factor(node.inputs[0], groups)
+        if factor in {0.0, 1.0}:
+            return [1.0]
+        if factor is None:
+            factor = float(np.clip(self.number(Closure(node, 1.0, groups), 0), 0, 1))
+        return [1 - factor, factor]
 
-    def _number(self, socket, groups):
-        value = self._average(*resolve(socket, groups))
-        return float(LUMINANCE @ value if np.ndim(value) else value)
+    def _resolve(self, closure, name):
+        """(socket, groups) that the input `name` of a closure takes its value from."""
+        try:
+            return self.links.resolve(closure.node.inputs[name], closure.groups)
+        except Circle as circle:
+            raise self._circle(circle) from None
 
     def _average(self, socket, groups):
-        """The value of a resolved socket: a number or (3,)."""
-        if not socket.is_output or socket.node.type in {"RGB", "VALUE"}:
-            value = socket.default_value
-            return np.array(value[:3]) if hasattr(value, "__len__") else value
-        if socket.node.type in {"TEX_IMAGE", "TEX_ENVIRONMENT"}:
+        """The value of a resolved socket: a number or (3,), of an image its mean."""
+        if socket.is_output and socket.node.type in IMAGES:
             return self._image_average(socket)
-        raise self.error(
-            f"'{self.owner.name}' takes a value from the node '{socket.node.bl_label}', which has "
+        value = value_of(socket, groups, self.links, self.attributes)
+        if isinstance(value, (Scaled, Unread)):
+            raise self._refusal(value.node if isinstance(value, Unread) else socket.node)
+        return value
+
+    def _refusal(self, node):
+        return self.error(
+            f"'{self.owner.name}' takes a value from the node '{_called(node)}', which has "
             f"no single colour; use a plain value or an image{self.or_preset}."
+        )
+
+    def _circle(self, circle):
+        return self.error(
+            f"The links of '{self.owner.name}' lead in a circle at the node "
+            f"'{circle.node.name}'; remove one of them."
         )
 
     def _image_average(self, socket):
@@ -126,53 +211,14 @@ class Shader:
         # The colour of pixels that are cut away is not seen.
         return np.average(pixels[..., :3], axis=(0, 1), weights=alpha if alpha.any() else None)
 
-    def _scaled_attribute(self, socket, groups):
-        """(scale, attribute name or None) of a resolved socket."""
-        node = socket.node
-        if not socket.is_output or node.type == "VALUE":
-            return socket.default_value, None
-        if node.type == "ATTRIBUTE":
-            return 1.0, node.attribute_name
-        if node.type == "VOLUME_INFO":
-            return 1.0, socket.name.lower()
-        if node.type == "MATH" and node.operation == "MULTIPLY":
-            factors = [self._scaled_attribute(*resolve(s, groups)) for s in node.inputs[:2]]
-            names = [name for _scale, name in factors if name is not None]
-            if len(names) < 2:
-                return factors[0][0] * factors[1][0], names[0] if names else None
-        raise self.error(
-            f"'{self.owner.name}' computes its density with the node '{node.bl_label}'; "
-            "only an attribute times a number can be converted."
-        )
-
-
-def resolve(socket, groups=()):
-    """(socket, groups): where a value comes from, through links, reroutes and node groups.
-
-    It is an output of a node, or an input that nothing is linked to and that holds the value.
-    groups  the group nodes around the socket, outermost first
-    """
-    if not socket.is_output:
-        links = [link for link in socket.links if not link.is_muted]
-        return resolve(links[0].from_socket, groups) if links else (socket, groups)
-    node = socket.node
-    if node.type == "REROUTE":
-        return resolve(node.inputs[0], groups)
-    if node.type == "GROUP" and is_ours(node):  # what it was put in front of, or behind
-        return resolve(node.inputs[0], groups)
-    if node.type == "GROUP":
-        inside = next(n for n in node.node_tree.nodes if n.type == "GROUP_OUTPUT")
-        return resolve(_twin(inside.inputs, socket), (*groups, node))
-    if node.type == "GROUP_INPUT":
-        return resolve(_twin(groups[-1].inputs, socket), groups[:-1])
-    return socket, groups
-
 
 def may_be_positive(closure, name):
     """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
-    socket, _groups = resolve(closure.node.inputs[name], closure.groups)
-    computed = socket.is_output and socket.node.type != "VALUE"
-    return computed or socket.default_value > 0
+    socket, groups = resolve(closure.node.inputs[name], closure.groups)
+    value = value_of(socket, groups, Links())
+    if isinstance(value, Unread):
+        return True
+    return bool(np.any(np.greater(value.scale if isinstance(value, Scaled) else value, 0)))
 
 
 def linear_pixels(image):
@@ -197,22 +243,10 @@ def _sphere_average(pixels):
     return np.average(pixels[..., :3].mean(axis=1), axis=0, weights=np.cos(latitude))
 
 
-def _twin(sockets, socket):
-    """The one of `sockets` that stands for `socket` on the other side of a group's wall."""
-    return next(s for s in sockets if s.identifier == socket.identifier)
+def _mixes(socket):
+    return socket.is_output and socket.node.type in {"ADD_SHADER", "MIX_SHADER"}
 
 
-def _reaching(socket, groups):
-    socket, groups = resolve(socket, groups)
-    if not socket.is_output:
-        return
-    if socket.node.type not in {"ADD_SHADER", "MIX_SHADER"}:
-        yield Closure(socket.node, 1.0, groups)
-        return
-    for shader in socket.node.inputs:
-        if shader.type == "SHADER":
-            yield from _reaching(shader, groups)
-
-
-def _weighted(closures, factor):
-    return [Closure(c.node, c.weight * factor, c.groups) for c in closures]
+def _called(node):
+    """What a user knows a node by; of one whose add-on is missing only its name is left."""
+    return node.name if node.bl_idname == "NodeUndefined" else node.bl_label

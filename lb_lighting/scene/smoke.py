@@ -46,6 +46,12 @@ def grid_names(ob, depsgraph):
     return [name for name in SCALAR_GRIDS if len(getattr(settings, f"{name}_grid"))]
 
 
+def materials(ob, depsgraph):
+    """[original material] of the slots of a domain; what has none shows no smoke."""
+    slots = ob.evaluated_get(depsgraph).material_slots
+    return [slot.material.original for slot in slots if slot.material]
+
+
 def burns(ob, depsgraph):
     """Whether the simulation has a flame at the current frame."""
     _evaluated, settings = _simulated(ob, depsgraph)

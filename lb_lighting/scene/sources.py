@@ -16,8 +16,10 @@ from ..errors import SceneError
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
+from .attributes import object_attributes
 from .emission import shining, volume_glows
 from .materials import (
+    first_volume,
     grey,
     has_surface,
     has_volume,
@@ -74,6 +76,15 @@ class Reader:
     instances_lit: bool = False
     notes: list = field(default_factory=list)
 
+    def __post_init__(self):
+        layer = self.depsgraph and self.depsgraph.view_layer
+        if layer and layer.material_override:
+            self.notes.append(
+                f"The view layer '{layer.name}' overrides all materials with "
+                f"'{layer.material_override.name}', which shows none of the light. It was baked "
+                "for the materials behind that; clear Material Override to see it."
+            )
+
     def __getstate__(self):
         return vars(self) | {"depsgraph": None}  # it stays in Blender
 
@@ -84,7 +95,8 @@ class Reader:
         """
         if self.medium != FROM_MATERIAL:
             return None
-        found = [optics for m in materials if m and (optics := volume_optics(m))]
+        attributes = object_attributes(ob, self.depsgraph)
+        found = [optics for m in materials if (optics := volume_optics(m, attributes))]
         if not found:
             self.notes.append(
                 f"'{ob.name}' has no volume material; the preset '{fallback}' stands in."
@@ -94,25 +106,30 @@ class Reader:
             self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
         return found[0]
 
-    def glows(self, ob, materials):
+    def glows(self, ob, materials, optics):
         """[Glow | BlackBody] that the volumes of `materials` shine with.
 
-        None for those that cannot be read, with a note.
+        None for those that cannot be read, with a note, or SceneError where nothing else is to be
+        seen of their `optics`.
         """
         try:
-            return [glow for material in materials for glow in volume_glows(material)]
+            attributes = object_attributes(ob, self.depsgraph)
+            return [glow for m in materials for glow in volume_glows(m, attributes)]
         except SceneError as error:
-            if any(map(volume_shines, materials)):
+            shines = any(map(volume_shines, materials))
+            if shines and optics and optics.is_clear:
+                raise
+            if shines:
                 self.notes.append(
                     f"'{ob.name}' shines by itself, which does not light it, and Replace leaves "
                     f"that out. {error}"
                 )
             return []
 
-    def mixture(self, shares):
+    def mixture(self, shares, shines=False):
         """`mixture` of `shares`, with a note where it is not exact."""
-        mixed = mixture(shares)
-        if np.ptp(_per_extinction(_present(shares)), axis=1).max() > ALIKE:
+        mixed, present = mixture(shares, shines), _present(shares)
+        if present and np.ptp(_per_extinction(present), axis=1).max() > ALIKE:
             self.notes.append(
                 "The materials differ in colour or in how they scatter; the light takes their "
                 "mean, weighed by how dense each is."
@@ -125,10 +142,16 @@ class Reader:
         0 for materials that cannot be read, with a note: they stop light all the same.
         """
         try:
-            return [leaf_optics(part.material).reflectance for part in parts]
+            return [self.leaf(part).reflectance for part in parts]
         except SceneError as error:
             self.notes.append(f"'{ob.name}' throws no light back. {error}")
             return [np.zeros(3)] * len(parts)
+
+    def leaf(self, part):
+        """The `Leaf` that the faces of a `Part` are."""
+        # Each instance may have attributes of its own.
+        one = None if part.instanced else object_attributes(part.object, self.depsgraph)
+        return leaf_optics(part.material, one)
 
     def chosen(self, fallback=None):
         """The `Optics` of the chosen preset, or of the one called `fallback`."""
@@ -231,10 +254,33 @@ class _GridSource(_Source):
     is_volume = True
     preset = "cloud"
 
-    def __init__(self, ob, reader, material):
+    def __init__(self, ob, reader, materials, known):
         super().__init__(ob, reader)
+        material = first_volume(materials)
         self.material = reader.volume_optics(ob, [material], self.preset)
-        self.glows = reader.glows(ob, [material])
+        self.glows = reader.glows(ob, [material], self.material)
+        self.grid_name = self._grid_name(known)
+        self._tell_even()
+
+    def _grid_name(self, known):
+        """The name of the grid that shows where it is, of those `known`, where they can be."""
+        named = self.material.density_attribute if self.material else None
+        if self.reader.grid or named:
+            return self.reader.grid or named
+        shining = [name for glow in self.glows for name in glow.grids]
+        is_clear = self.material and self.material.is_clear
+        names = (shining or ["density"]) if is_clear else ["density", *shining]
+        return next((name for name in names if name in known), names[0])
+
+    def _tell_even(self):
+        """Add a note on a material that fills its grid, which Cycles does not render."""
+        even = self.material and self.material.density_attribute is None
+        is_seen = self.glows or (even and not self.material.is_clear)
+        if even and is_seen and not self.reader.grid and not self.glowing_grids:
+            self.reader.notes.append(
+                f"The material of '{self.name}' reads no grid, so Cycles renders nothing of it; "
+                f"it was lit as if it filled the grid '{self.grid_name}' evenly."
+            )
 
     @property
     def glowing_grids(self):
@@ -242,9 +288,9 @@ class _GridSource(_Source):
         return {name for glow in self.glows for name in glow.grids}
 
     @property
-    def grid_name(self):
-        named = self.material.density_attribute if self.material else None
-        return self.reader.grid or named or "density"
+    def limit(self):
+        """What counts of the grid's values at most."""
+        return self.material.limit if self.material else np.inf
 
     def share(self, density, domain):
         if self.material is None:
@@ -258,22 +304,37 @@ class VolumeSource(_GridSource):
     """A Volume object, or one whose geometry nodes make a volume: one grid of it."""
 
     def __init__(self, ob, reader):
-        super().__init__(ob, reader, volumes.volume_material(ob, reader.depsgraph))
+        known = volumes.grid_names(ob, reader.depsgraph)
+        super().__init__(ob, reader, self._materials(ob, reader), known)
         self.grid = volumes.find_grid(ob, reader.depsgraph, self.grid_name)
         self.matrix = volumes.world_matrix(ob, reader.depsgraph)
         self.is_in_object_space = volumes.is_in_object_space(ob, reader.depsgraph)
-        known = self.glowing_grids and volumes.grid_names(ob, reader.depsgraph)
         self.fire = {
             name: volumes.find_grid(ob, reader.depsgraph, name)
             for name in self.glowing_grids.intersection(known)
         }
+
+    @staticmethod
+    def _materials(ob, reader):
+        """[material or None] of its slots; those of the object where nodes give it none."""
+        found = volumes.volume_materials(ob, reader.depsgraph)
+        if found or ob.type == "VOLUME":
+            return found
+        slots = [slot.material for slot in ob.material_slots if has_volume(slot.material)]
+        if slots and reader.medium == FROM_MATERIAL:
+            reader.notes.append(
+                f"The nodes of '{ob.name}' give their volume no material, and Cycles renders it "
+                f"with a plain one; it was lit with '{slots[0].name}', which the object has. Add "
+                "Set Material to the nodes to render that."
+            )
+        return slots
 
     @property
     def bounds(self):
         return volumes.world_bounds(self.grid.vdb, self.matrix)
 
     def shares(self, domain):
-        density = volumes.resample(self.grid.vdb, self.matrix, domain)
+        density = volumes.resample(self.grid.vdb, self.matrix, domain, self.limit)
         if self.material:
             density /= self._metre
         return [self.share(density, domain)]
@@ -300,12 +361,12 @@ class SmokeSource(_GridSource):
     """The domain of a gas simulation, at the current frame."""
 
     def __init__(self, ob, reader):
-        super().__init__(ob, reader, ob.active_material)
+        known = smoke.grid_names(ob, reader.depsgraph)
+        super().__init__(ob, reader, smoke.materials(ob, reader.depsgraph), known)
         self.bounds = smoke.world_bounds(ob, reader.depsgraph)
         self.cells = smoke.read_grid(ob, reader.depsgraph, self.grid_name)
         # Nor does the preset know the colour of the smoke.
         self.hue = None if self.material else smoke.hue(ob, reader.depsgraph)
-        known = smoke.grid_names(ob, reader.depsgraph)
         self.fire = {
             name: smoke.read_grid(ob, reader.depsgraph, name)
             for name in self.glowing_grids.intersection(known)
@@ -316,7 +377,7 @@ class SmokeSource(_GridSource):
             )
 
     def shares(self, domain):
-        share = self.share(self.cells.on(domain), domain)
+        share = self.share(self.cells.at_most(self.limit).on(domain), domain)
         if self.hue is not None:
             share = Share(share.density, tinted(share.optics, self.hue))
         return [share]
@@ -360,14 +421,14 @@ class FoliageSource(_SurfaceSource):
 
     def __init__(self, ob, parts, reader):
         super().__init__(ob, parts, reader)
-        self.leaves = [self._leaf(part.material) for part in parts]
+        self.leaves = [self._leaf(part) for part in parts]
         self.instanced = [part.material and part.material.name for part in parts if part.instanced]
 
-    def _leaf(self, material):
+    def _leaf(self, part):
         """(share of the faces that is not a hole, Optics at 1/m of extinction)."""
         if self.reader.medium != FROM_MATERIAL:
             return 1.0, _scaled(self.reader.chosen(), 1.0)
-        leaf = leaf_optics(material)
+        leaf = self.reader.leaf(part)
         return leaf.coverage, leaf.optics
 
     def shares(self, domain):
@@ -394,7 +455,13 @@ class SolidSource(_SurfaceSource):
         self.shows_light = any(map(has_surface, materials))
         super().__init__(ob, parts, reader)
         self.material = reader.volume_optics(ob, materials, self.preset)
-        self.glows = reader.glows(ob, materials)
+        if self.material and self.material.needs_grid:
+            raise SceneError(
+                f"The density of '{ob.name}' follows the attribute "
+                f"'{self.material.density_attribute}', which a mesh does not have inside, so "
+                "Cycles renders nothing of it; give its material a plain density."
+            )
+        self.glows = reader.glows(ob, materials, self.material)
 
     @property
     def is_volume(self):
@@ -409,7 +476,7 @@ class SolidSource(_SurfaceSource):
     def emission(self, domain):
         if not self.glows:
             return None
-        radiance = sum(glow.radiance({}) for glow in self.glows if not glow.grids)
+        radiance = sum(glow.radiance({}) for glow in self.glows if not glow.needed)
         fraction = voxelize.solid_fraction(self.triangles, domain)
         return np.multiply.outer(radiance * np.ones(3), fraction)
 
@@ -441,15 +508,21 @@ class OccluderSource(_SurfaceSource):
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}
 
 
-def mixture(shares):
+def mixture(shares, shines=False):
     """(density (nx, ny, nz), Optics): the shares as one material, which the lattice needs.
 
     Shares of the same optics keep them, and their densities are summed. Otherwise the density is
     the extinction coefficient, 1/m, of each share's densest band, summed, and the optics are the
     shares' per such extinction, averaged by how much of it there is of each: so every share keeps
-    its own extinction, and only albedo and g are means. SceneError for no density.
+    its own extinction, and only albedo and g are means.
+
+    shines  whether some of it shines, which may be all that it does: the optics are 0 then
+
+    SceneError where there is neither density nor anything that shines.
     """
-    shares = _present(shares)
+    places, shares = shares, _present(shares)
+    if not shares and shines:
+        return _total(share.density for share in places), Optics(0.0, 0.0, 0.0)
     if not shares:
         raise SceneError(
             "There is no density to light here; check the grid, the frame, the region and the "

@@ -2,7 +2,7 @@
 """Volume grids, from files, sequences and geometry nodes, and any grid onto the lattice."""
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -39,6 +39,10 @@ class Cells:
 
     values: np.ndarray
     index_to_world: np.ndarray
+
+    def at_most(self, limit):
+        """These `Cells`, with nothing above `limit`."""
+        return replace(self, values=np.minimum(self.values, limit)) if limit < np.inf else self
 
     def on(self, domain):
         """(nx, ny, nz) float32: averaged over the voxels of `domain`."""
@@ -81,11 +85,16 @@ def has_volume(ob, depsgraph):
     return _volume_geometry(ob, depsgraph) is not None
 
 
-def volume_material(ob, depsgraph):
-    """The material that the volume of `ob` has by its slot or its nodes, or None."""
+def volume_materials(ob, depsgraph):
+    """[original material or None] of the slots that the volume of `ob` has, maybe by its nodes.
+
+    [] for a volume that nodes make and give none.
+    """
+    if ob.type == "VOLUME":
+        slots = [slot.material for slot in ob.evaluated_get(depsgraph).material_slots]
+        return [material and material.original for material in slots]
     geometry = _volume_geometry(ob, depsgraph)  # it owns its volume and has to outlive it
-    made = [] if ob.type == "VOLUME" else geometry.volume.materials
-    return made[0].original if made and made[0] else ob.active_material
+    return [material and material.original for material in geometry.volume.materials]
 
 
 def is_in_object_space(ob, depsgraph):
@@ -117,14 +126,15 @@ def world_bounds(grid, matrix_world):
     return box_bounds(lower - 0.5, upper + 0.5, np.asarray(matrix_world) @ _index_to_object(grid))
 
 
-def resample(grid, matrix_world, domain):
+def resample(grid, matrix_world, domain, limit=np.inf):
     """`grid` averaged over the voxels of `domain`: (nx, ny, nz) float32, 0 outside of the grid.
 
     A vector grid gives (3, nx, ny, nz).
     matrix_world  (4, 4), of the object that shows the grid
+    limit         what counts of its values at most
     Raises SceneError for values that are negative or not finite.
     """
-    cells = near_cells(grid, matrix_world, domain)
+    cells = near_cells(grid, matrix_world, domain).at_most(limit)
     if cells.values.ndim == 3:
         return cells.on(domain)
     bands = np.moveaxis(cells.values, -1, 0)

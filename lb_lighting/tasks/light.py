@@ -184,9 +184,10 @@ class Light:
         shares = {source: source.shares(domain) for source in self.sources}
         occlusions = [o for source in self.sources if (o := source.occlusion(domain)) is not None]
         everything = [share for own in shares.values() for share in own]
-        density, optics = self.reader.mixture(everything)
-        occlusion, albedo = occluders(occlusions) if occlusions else (None, np.zeros(1))
         emission = self._emission(domain)
+        shines = emission is not None
+        density, optics = self.reader.mixture(everything, shines)
+        occlusion, albedo = occluders(occlusions) if occlusions else (None, np.zeros(1))
         bands = _bands(optics, self.lights, albedo, emission)
         volumes = [share for source, own in shares.items() for share in own if source.is_volume]
         medium = Medium(
@@ -199,7 +200,7 @@ class Light:
             occlusion=occlusion,
             occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
         )
-        shown = mixture(volumes) if volumes else (density, optics)
+        shown = mixture(volumes, shines) if volumes else (density, optics)
         return Problem(medium, shown, with_shadows(self.lights, everything))
 
     def _emission(self, domain):

@@ -7,6 +7,7 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene.emission import BlackBody, Glow, black_body_color, shining, volume_glows
+from lb_lighting.scene.values import Scaled
 from lb_lighting.scene.volumes import Cells
 from lb_lighting.transport.medium import Domain
 from tests import scenery
@@ -99,7 +100,7 @@ def test_a_black_bodys_color_is_blenders():
 
 
 def test_a_black_bodys_settings():
-    assert black(Temperature=2000.0).temperature == 2000
+    assert black(Temperature=2000.0).temperature == Scaled(2000.0, "temperature")
     assert black(Temperature_Attribute="heat").grids == ["heat"]
     (found,) = volume_glows(principled(Blackbody_Intensity="flame"))
     assert isinstance(found, BlackBody)

@@ -16,60 +16,10 @@ from lb_lighting.scene.materials import (
     volume_shines,
 )
 from lb_lighting.transport.medium import Optics
+from tests.scene.nodes import add_node, combine, connect, make_material, surface, volume
 
 COLOR = (0.9, 0.6, 0.3)
 TINT = (0.25, 0.04, 0.5)
-
-
-def make_material(name="matter"):
-    material = bpy.data.materials.new(name)
-    material.node_tree.nodes.clear()
-    material.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    return material
-
-
-def add_node(tree, kind, /, _phase=None, **inputs):
-    """A node with inputs set by name, spaces as underscores: numbers, or sockets to link."""
-    node = tree.nodes.new(kind)
-    if _phase:
-        node.phase = _phase
-    for name, value in inputs.items():
-        socket = node.inputs[name.replace("_", " ")]
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, socket)
-        elif socket.type == "RGBA":
-            socket.default_value = (*value, 1)
-        else:
-            socket.default_value = value
-    return node
-
-
-def combine(tree, first, second, factor=None):
-    """Add Shader, or Mix Shader with a factor, of two nodes."""
-    node = tree.nodes.new("ShaderNodeAddShader" if factor is None else "ShaderNodeMixShader")
-    if isinstance(factor, bpy.types.NodeSocket):
-        tree.links.new(factor, node.inputs[0])
-    elif factor is not None:
-        node.inputs[0].default_value = factor
-    for source, socket in zip((first, second), node.inputs[-2:], strict=True):
-        tree.links.new(source.outputs[0], socket)
-    return node
-
-
-def connect(material, node, output):
-    end = material.node_tree.get_output_node("ALL")
-    material.node_tree.links.new(node.outputs[0], end.inputs[output])
-    return material
-
-
-def volume(kind, /, **inputs):
-    material = make_material()
-    return connect(material, add_node(material.node_tree, kind, **inputs), "Volume")
-
-
-def surface(kind, /, **inputs):
-    material = make_material()
-    return connect(material, add_node(material.node_tree, kind, **inputs), "Surface")
 
 
 def make_image(pixels, colorspace="Non-Color", is_float=True):
@@ -277,6 +227,7 @@ class TestShining:
         material, group = make_material(), bpy.data.node_groups.new("fire", "ShaderNodeTree")
         group.interface.new_socket("Volume", in_out="OUTPUT", socket_type="NodeSocketShader")
         flame = group.nodes.new("ShaderNodeAttribute")
+        flame.attribute_name = "flame"
         shader = add_node(group, "ShaderNodeEmission", Strength=flame.outputs["Factor"])
         group.links.new(shader.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
         tree = material.node_tree

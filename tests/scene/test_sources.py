@@ -221,7 +221,11 @@ class TestVolumes:
     def test_made_by_nodes_that_set_no_material(self):
         ob = scenery.add_ball(material=scenery.volume_material(density=3.0))
         add_nodes(ob, "GeometryNodeVolumeCube")
-        assert extinction(share(ob).optics) == pytest.approx(3)
+        ((source,), notes) = read(ob)
+        assert extinction(source.shares(DOMAIN)[0].optics) == pytest.approx(3)
+        (note,) = notes
+        assert note.startswith("The nodes of 'ball' give their volume no material, and Cycles")
+        assert "it was lit with 'fog'" in note
 
 
 class TestSurfaces:
