@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes out: the Volume object that shows the light in a file, and where files go."""
 
+import os
 import tempfile
 import uuid
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from ..errors import OutputError
 from ..ours import TAG, is_ours
 from .vdb import is_baked_file
 
+LONGEST_NAME = 48  # letters, of up to 4 bytes; file systems take names of 255 bytes
+LONGEST_PATH = 1023  # bytes that Blender keeps of a path
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
 
 
@@ -22,7 +25,8 @@ def fresh_path(folder, source_name):
     Blender keeps what it once read from a path until it quits, even when the file is
     rewritten or deleted; so no bake may use the path of an earlier one.
     """
-    return Path(folder) / f"{bpy.path.clean_name(source_name)}_lb_{uuid.uuid4().hex[:8]}.vdb"
+    name = bpy.path.clean_name(source_name)[:LONGEST_NAME]
+    return Path(folder) / f"{name}_lb_{uuid.uuid4().hex[:8]}.vdb"
 
 
 @dataclass(frozen=True)
@@ -151,7 +155,11 @@ def default_folder():
 
 def require_writable(folder):
     """OutputError, before any work, for a folder that is not there or takes no files."""
-    if not Path(folder).is_dir():
+    if len(os.fsencode(fresh_path(folder, LONGEST_NAME * "x"))) > LONGEST_PATH:
+        raise OutputError(
+            f"The folder {str(folder)[:40]}... has too long a path for Blender; choose another."
+        )
+    if not os.path.isdir(folder):
         raise OutputError(f"The folder {folder} does not exist; choose another or make it.")
     try:
         with tempfile.TemporaryFile(dir=folder):

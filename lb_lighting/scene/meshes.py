@@ -170,8 +170,8 @@ def read_mesh(mesh, slots=1):
         face,
         len(mesh.polygons),
         None if few else _read(mesh.loop_triangles, "loops", np.int32, 3).reshape(-1, 3),
-        # Faces that name a slot which is not there are drawn with the last one.
-        None if material is None else np.minimum(material, slots - 1),
+        # Faces that name a slot which is not there are drawn with the nearest one.
+        None if material is None else np.clip(material, 0, slots - 1),
     )
 
 
@@ -189,8 +189,13 @@ def _arrays(mesh):
     return (
         _read(attributes["position"].data, "vector", np.float32, 3),
         _read(attributes[".corner_vert"].data, "value", np.int32),
-        slots and _read(slots.data, "value", np.int32),
+        _read(slots.data, "value", np.int32) if _is_of_faces(slots) else None,
     )
+
+
+def _is_of_faces(attribute):
+    """Whether an attribute, or None, is a whole number for each face."""
+    return attribute and (attribute.domain, attribute.data_type) == ("FACE", "INT")
 
 
 def _used(mesh):

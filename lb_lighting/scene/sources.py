@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import LightingError, SceneError
+from ..ours import is_ours
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
@@ -33,6 +34,7 @@ CUSTOM = "CUSTOM"
 COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
+NAMED = 8  # objects that one note lists by name
 
 
 @dataclass(frozen=True)
@@ -143,36 +145,94 @@ class Reader:
         return _scaled(self.chosen(fallback), self.optical_depth / length)
 
 
-def open_sources(objects, reader):
-    """The sources that the original `objects` are; SceneError names one that is none."""
+def open_sources(objects, reader, require=None):
+    """The sources among the original `objects`, in their order.
+
+    require  called with each object that is a source; raises a LightingError for one that cannot
+             be lit
+
+    Objects that are no source, are hidden or cannot be read are skipped, with a note. Where nothing
+    is left, the first that cannot be read is raised, or a SceneError for one of the others.
+    """
     if not objects:
         raise SceneError("Nothing is selected; select a volume, a smoke domain or a mesh.")
-    for ob in objects:
-        if not ob.visible_get(view_layer=reader.depsgraph.view_layer):
-            raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
-    surfaces = [ob for ob in objects if _is_surface(ob)]
+    hidden = [ob for ob in objects if not ob.visible_get(view_layer=reader.depsgraph.view_layer)]
+    shown = [ob for ob in objects if ob not in hidden]
     parts = defaultdict(list)
-    for part in world_parts(reader.depsgraph, surfaces):
+    for part in world_parts(reader.depsgraph, filter(_is_surface, shown)):
         parts[part.object].append(part)
-    return [_open(ob, parts.get(ob, []), reader) for ob in objects]
+    sources, neither, failed = [], [], []
+    for ob in shown:
+        own = parts.get(ob, [])
+        if not _is_source(ob, own, reader):
+            neither.append(ob)
+            continue
+        noted = len(reader.notes)
+        try:
+            if require is not None:
+                require(ob)
+            sources.append(_open(ob, own, reader))
+        except LightingError as error:
+            del reader.notes[noted:]
+            failed.append((ob, error))
+    if not sources:
+        _refuse(hidden, neither, failed)
+    reader.notes[:0] = [
+        *_skipped(neither, "have neither a volume nor faces", "has neither a volume nor faces"),
+        *_skipped(hidden, "are hidden", "is hidden"),
+        *(f"'{ob.name}' is left out. {error}" for ob, error in failed),
+    ]
+    return sources
+
+
+def _refuse(hidden, neither, failed):
+    """Raise why no object is a source."""
+    if failed:
+        raise failed[0][1]
+    if neither:
+        raise SceneError(
+            f"'{neither[0].name}' has neither a volume nor faces; "
+            "select a volume, a smoke domain or a mesh."
+        )
+    raise SceneError(f"'{hidden[0].name}' is hidden; show it to light it.")
+
+
+def _skipped(objects, they, it):
+    """[the note that names the skipped `objects`], or none where there are none."""
+    if not objects:
+        return []
+    names = ", ".join(ob.name for ob in objects[:NAMED])
+    more = f" and {len(objects) - NAMED} more" if len(objects) > NAMED else ""
+    return [f"Skipped, as {f'they {they}' if len(objects) > 1 else f'it {it}'}: {names}{more}."]
 
 
 def _is_surface(ob):
     return ob.type in SURFACE_TYPES and not smoke.find_domain_settings(ob)
 
 
+def _is_source(ob, parts, reader):
+    """Whether an object has a volume or faces (`parts`)."""
+    if ob.type == "VOLUME" or parts or smoke.find_domain_settings(ob) or _is_edited(ob):
+        return True
+    return volumes.has_volume(ob, reader.depsgraph)
+
+
+def _is_edited(ob):
+    """Whether an object's mesh is in Edit Mode, which hides its faces."""
+    return ob.type == "MESH" and ob.data.is_editmode
+
+
 def _open(ob, parts, reader):
+    if _is_edited(ob):
+        raise SceneError(f"'{ob.name}' is in Edit Mode; leave it to light the mesh.")
+    if ob.type == "VOLUME" and is_ours(ob):
+        raise SceneError(f"What '{ob.name}' was baked from is gone; select something else.")
     if ob.type == "VOLUME":
         return VolumeSource(ob, reader)
     if smoke.find_domain_settings(ob):
         return SmokeSource(ob, reader)
-    if not parts and volumes.has_volume(ob, reader.depsgraph):
-        return VolumeSource(ob, reader)
     if not parts:
-        raise SceneError(
-            f"'{ob.name}' has neither a volume nor faces; "
-            "select a volume, a smoke domain or a mesh."
-        )
+        return VolumeSource(ob, reader)
     return _SURFACES[_surface_role(ob, parts)](ob, parts, reader)
 
 
@@ -187,6 +247,7 @@ def _surface_role(ob, parts):
 class _Source:
     """name and place of its object, bounds ((lower, upper) in m), what it puts on a lattice.
 
+    uid          the object's number for the session
     place        (4, 4), the object's space to world space
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
@@ -204,8 +265,12 @@ class _Source:
     glows = ()
 
     def __init__(self, ob, reader):
-        self.name, self.reader = ob.name, reader
+        self.name, self.uid, self.reader = ob.name, ob.session_uid, reader
         self.place = np.array(ob.evaluated_get(reader.depsgraph).matrix_world)
+        if not np.isfinite(self.place).all():
+            raise SceneError(
+                f"'{ob.name}' has a location, rotation or scale that is not a number; clear it."
+            )
 
     def shares(self, domain):
         """[Share] on the lattice of `domain`."""
@@ -326,9 +391,15 @@ class SmokeSource(_GridSource):
 
 
 class _SurfaceSource(_Source):
+    """dimensions  that it has at least where it is not scaled to nothing"""
+
+    dimensions = 2
+
     def __init__(self, ob, parts, reader):
         super().__init__(ob, reader)
         self.faces = [part.faces for part in parts]
+        for faces in self.faces:
+            faces.refuse_broken(self.dimensions)
         # A modifier of the object sees the instances that modifiers make, and no others.
         duplicates = ob.instance_type != "NONE" or len(ob.particle_systems)
         lit = self.is_foliage and reader.instances_lit and not duplicates
@@ -388,6 +459,7 @@ class SolidSource(_SurfaceSource):
 
     preset = "pmma"
     is_body = True
+    dimensions = 3
 
     def __init__(self, ob, parts, reader):
         materials = [part.material for part in parts]
@@ -435,7 +507,8 @@ class OccluderSource(_SurfaceSource):
         closed = np.concatenate([faces.closed for faces in self.faces])
         areas = [faces.area for faces in self.faces]
         color = np.average(self.colors, axis=0, weights=areas if any(areas) else None)
-        return voxelize.opaque_share(triangles, closed, domain), color
+        stopped = voxelize.opaque_share(triangles, closed, domain)
+        return (stopped, color) if stopped.any() else None
 
 
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}
