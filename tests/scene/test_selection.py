@@ -45,7 +45,6 @@ def add_everything_else():
     return [scenery.link(name, block) for name, block in things.items()]
 
 
-
 def turn_by_nan(ob):
     ob.rotation_euler = (np.nan, 0, 0)
 
@@ -215,7 +214,7 @@ class TestBakes:
 
     @pytest.mark.parametrize("length", [300, 4000])
     def test_a_folder_that_is_too_long_is_refused(self, scene, length):
-        with pytest.raises(LightingError, match="does not exist; choose|too long a path"):
+        with pytest.raises(LightingError, match=r"does not exist; choose|too long a path"):
             bake_light(scenery.add_leaves(), folder="/tmp/" + "y" * length)
 
 
