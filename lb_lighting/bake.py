@@ -20,8 +20,8 @@ from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights
+from .scene.resample import box_bounds
 from .scene.sources import Reader, open_sources
-from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
 from .transport.lights import Sky

@@ -28,12 +28,14 @@ from .materials import (
     volume_shines,
 )
 from .meshes import world_parts
+from .sparse import Matter
 
 FROM_MATERIAL = "MATERIAL"
 CUSTOM = "CUSTOM"
 COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
+WORTHWHILE = 0.9  # of a volume's longest edge, over which nothing thin is left out
 NAMED = 8  # objects that one note lists by name
 
 
@@ -311,10 +313,16 @@ class _GridSource(_Source):
         named = self.material.density_attribute if self.material else None
         return self.reader.grid or named or "density"
 
+    @property
+    def fills(self):
+        """Whether the material is homogeneous: all of the grid that is over 0 is density 1."""
+        attribute = self.material and self.material.density_attribute
+        return self.material is not None and attribute is None and not self.reader.grid
+
     def share(self, density, domain):
         if self.material is None:
             return Share(density, self.reader.preset(self.preset, _longest(domain)))
-        if self.material.density_attribute is None and not self.reader.grid:
+        if self.fills:
             density = (density > 0).astype(np.float32)  # a homogeneous material fills the grid
         return Share(density, self.material.optics)
 
@@ -333,12 +341,68 @@ class VolumeSource(_GridSource):
             for name in self.glowing_grids.intersection(known)
         }
 
-    @property
+    @cached_property
+    def cells(self):
+        """The `SparseCells` of the density."""
+        return volumes.cells_of(self.grid.vdb, self.matrix)
+
+    @cached_property
+    def matter(self):
+        """The `Matter` of the density, with notes of what counts for something else."""
+        matter = Matter.of(self.cells, self.fills)
+        self.reader.notes.extend(matter.oddities(self.cells, self.name))
+        return matter
+
+    @cached_property
+    def fires(self):
+        """{name: (`SparseCells`, `Matter`)} of the grids that it shines by, noted likewise."""
+        found = {}
+        for name, grid in self.fire.items():
+            cells = volumes.cells_of(grid.vdb, self.matrix)
+            found[name] = cells, Matter.of(cells)
+            self.reader.notes.extend(found[name][1].oddities(cells, self.name))
+        return found
+
+    @cached_property
     def bounds(self):
-        return volumes.world_bounds(self.grid.vdb, self.matrix)
+        whole = self.cells.bounds
+        seen = self._seen_bounds(whole)
+        if np.ptp(seen, axis=0).max() > WORTHWHILE * np.ptp(whole, axis=0).max():
+            return whole
+        share = self.matter.share_outside(self.cells, seen)
+        self.reader.notes.append(
+            f"'{self.name}' has voxels far from the others that are too thin to be seen, with "
+            f"{share:.1g} of its density. They are not lit; choose a Domain to light them, too."
+        )
+        return seen
+
+    def _seen_bounds(self, whole):
+        """The part of the box `whole` in which anything can be seen."""
+        shines_all_over = any(not self.fires.keys() & set(glow.grids) for glow in self.glows)
+        if not len(self.matter.bricks) or shines_all_over:
+            return whole
+        seen = whole
+        # In a smaller box, a preset is denser: the second time it is as dense as it can be.
+        for _ in range(2):
+            sigma_t = self._sigma_t(np.ptp(seen, axis=0).max())
+            if not sigma_t:
+                return whole
+            seen = self.matter.bounds(self.cells, sigma_t)
+        boxes = [seen, *(matter.bounds(cells) for cells, matter in self.fires.values())]
+        return np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+
+    def _sigma_t(self, longest):
+        """1/m at density 1, in a domain whose longest edge has `longest` m."""
+        if self.material is None:
+            return Share(None, self.reader.preset(self.preset, longest)).sigma_t
+        return Share(None, self.material.optics).sigma_t / self._metre
 
     def shares(self, domain):
-        density = volumes.resample(self.grid.vdb, self.matrix, domain)
+        if not len(self.matter.bricks):
+            return [self.share(np.zeros(domain.shape, np.float32), domain)]
+        density = self.cells.on(domain)
+        if density.ndim == 4:  # a vector counts by the mean of its components, as in Cycles
+            density = density.mean(axis=0)
         if self.material:
             density /= self._metre
         return [self.share(density, domain)]
@@ -346,12 +410,8 @@ class VolumeSource(_GridSource):
     def emission(self, domain):
         if not self.glows:
             return None
-        cells = {
-            name: volumes.near_cells(grid.vdb, self.matrix, domain)
-            for name, grid in self.fire.items()
-        }
-        inside = volumes.near_cells(self.grid.vdb, self.matrix, domain)
-        return shining(self.glows, cells, inside, domain) / self._metre
+        cells = {name: cells for name, (cells, _matter) in self.fires.items()}
+        return shining(self.glows, cells, self.cells, domain) / self._metre
 
     @property
     def _metre(self):
