@@ -392,6 +392,10 @@ def _box(context, name):
         raise SettingsError(f"There is no object '{name}' to light the bounds of; choose another.")
     corners = np.array(ob.bound_box)
     lower, upper = box_bounds(corners.min(axis=0), corners.max(axis=0), np.array(ob.matrix_world))
+    if not np.isfinite([lower, upper]).all():
+        raise SettingsError(
+            f"The domain '{name}' has a location, rotation or scale that is not a number; clear it."
+        )
     if not np.ptp([lower, upper], axis=0).any():
         raise SettingsError(f"The domain '{name}' has no size of its own; choose a mesh.")
     return lower, upper

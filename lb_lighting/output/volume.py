@@ -12,6 +12,7 @@ from mathutils import Matrix
 
 from ..errors import OutputError
 from ..ours import TAG, is_ours
+from ..scene.sources import may_be_lit
 from .vdb import is_baked_file
 
 LONGEST_NAME = 48  # letters, of up to 4 bytes; file systems take names of 255 bytes
@@ -56,7 +57,7 @@ def fresh_frames_folder(folder, source_name):
 def frames_folder(scene, sources):
     """The folder of the `Frames` that show the light of the objects `sources`, or None."""
     for ob in baked_volumes(scene):
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources):
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(filter(may_be_lit, sources)):
             return baked_path(ob).parent
     return None
 

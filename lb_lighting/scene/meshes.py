@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .voxelize import Faces, closed_triangles
+from .voxelize import FARTHEST, Faces, closed_triangles
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,10 @@ def vertices(ob, depsgraph):
     """
     evaluated = ob.evaluated_get(depsgraph)
     mesh = evaluated.data if len(evaluated.data.vertices) == len(ob.data.vertices) else ob.data
-    return read_mesh(mesh), np.array(evaluated.matrix_world)
+    mesh = read_mesh(mesh)
+    nowhere = ~np.all(np.abs(mesh.points) < FARTHEST, axis=1)  # and of no face, see Faces
+    mesh.points[nowhere] = 0
+    return mesh, np.array(evaluated.matrix_world)
 
 
 def _materials(ob):

@@ -113,19 +113,29 @@ def block_sums(values, first, factors):
 
     values  (..., nx, ny, nz), which begin at voxel `first`; block (0, 0, 0) at voxel (0, 0, 0)
     """
-    first, factors = np.asarray(first), np.broadcast_to(factors, 3)
-    start = first // factors
+    factors = np.broadcast_to(factors, 3)
+    start = np.asarray(first) // factors
     before = first - start * factors
-    after = -(before + values.shape[-3:]) % factors
-    if before.any() or after.any():
-        beside = [(0, 0)] * (values.ndim - 3)
-        values = np.pad(values, [*beside, *zip(before, after, strict=True)])
-    for axis, factor in zip((-3, -2, -1), factors, strict=True):
-        shape = list(values.shape)
-        shape[axis : axis + 1 or None] = [shape[axis] // factor, factor]
-        kind = np.float32 if axis == -3 else np.float64
-        values = values.reshape(shape).sum(axis=axis, dtype=kind)
+    # The first axis in float32: quick, and no more are added than make up a block.
+    for axis, kind in ((-3, np.float32), (-2, np.float64), (-1, np.float64)):
+        values = _sums_along(values, axis, before[axis], factors[axis], kind)
     return start, values
+
+
+def _sums_along(values, axis, before, factor, kind):
+    """Sums of `factor` values along an axis, of the first `before` fewer."""
+    length = values.shape[axis]
+    if factor > length:  # all in one block, or in two
+        edges = [0, factor - before] if before + length > factor else [0]
+        return np.add.reduceat(values, edges, axis=axis, dtype=kind)
+    after = -(before + length) % factor
+    if before or after:
+        beside = [(0, 0)] * values.ndim
+        beside[axis] = before, after
+        values = np.pad(values, beside)
+    shape = list(values.shape)
+    shape[axis : axis + 1 or None] = [shape[axis] // factor, factor]
+    return values.reshape(shape).sum(axis=axis, dtype=kind)
 
 
 def cubes(lower, upper, edge):

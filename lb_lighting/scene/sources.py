@@ -36,6 +36,7 @@ COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry ligh
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
 WORTHWHILE = 0.9  # of a volume's longest edge, over which nothing thin is left out
+DARK_TYPES = {"ARMATURE", "CAMERA", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
 NAMED = 8  # objects that one note lists by name
 
 
@@ -185,6 +186,11 @@ def open_sources(objects, reader, require=None):
         *(f"'{ob.name}' is left out. {error}" for ob, error in failed),
     ]
     return sources
+
+
+def may_be_lit(ob):
+    """Whether an object is of a kind that can have a volume or faces."""
+    return ob.type not in DARK_TYPES and (ob.type != "EMPTY" or ob.instance_type != "NONE")
 
 
 def _refuse(hidden, neither, failed):
@@ -398,8 +404,10 @@ class VolumeSource(_GridSource):
         return Share(None, self.material.optics).sigma_t / self._metre
 
     def shares(self, domain):
-        if not len(self.matter.bricks):
-            return [self.share(np.zeros(domain.shape, np.float32), domain)]
+        if not len(self.matter.bricks) and not self.glows:
+            raise SceneError(
+                f"The grid '{self.grid.name}' of '{self.name}' has no values over 0 to light."
+            )
         density = self.cells.on(domain)
         if density.ndim == 4:  # a vector counts by the mean of its components, as in Cycles
             density = density.mean(axis=0)

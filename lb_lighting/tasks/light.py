@@ -219,7 +219,7 @@ class Light:
         return np.sum(found, axis=0) if np.any(found) else None
 
     def _domain(self):
-        bounds = self._of_each(lambda source: source.bounds)
+        bounds = {} if self.box else self._of_each(lambda source: source.bounds)
         corners = np.concatenate([self.box] if self.box else list(bounds.values()))
         padding, resolution = self.options.padding, self.options.resolution
         domain = Domain.around(corners.min(axis=0), corners.max(axis=0), resolution, padding)

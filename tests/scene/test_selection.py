@@ -5,13 +5,21 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import cli
+from lb_lighting import bake, cli
 from lb_lighting.errors import LightingError, SceneError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.volume import RESULT, baked_volumes
 from lb_lighting.scene.sources import FROM_MATERIAL, Reader, open_sources
+from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.scenery import bake_light
+
+
+@pytest.fixture
+def scene(scene):
+    """With few voxels: these tests are not about the light."""
+    scene.lb_lighting.resolution = 8
+    return scene
 
 
 def read(*objects):
@@ -197,6 +205,29 @@ class TestBakes:
         with pytest.raises(SceneError, match="The mesh is flat"):
             bake_light(sheet)
 
+    def test_a_loose_vertex_nowhere_does_not_matter(self, scene):
+        leaves = scenery.add_leaves()
+        leaves.data.vertices.add(2)
+        leaves.data.vertices[-2].co, leaves.data.vertices[-1].co = (np.nan, 0, 0), (3e38, 0, 0)
+        bake_light(leaves)
+        assert np.isfinite(scenery.ambient(leaves)).all()
+
+    def test_a_domain_that_is_nowhere_is_named(self, scene):
+        leaves, box = scenery.add_leaves(), scenery.add_ball("box")
+        box.location.x = np.nan
+        bpy.context.view_layer.update()
+        with pytest.raises(LightingError, match=r"^The domain 'box' has a location, rotation or"):
+            bake_light(leaves, domain="box")
+
+    def test_a_sequence_goes_on_though_a_camera_is_selected(self, scene, tmp_path):
+        fog, eye = scenery.add_fog(tmp_path), scenery.link("eye", bpy.data.cameras.new("eye"))
+        options = bake.Options.of(scene)
+        paths = set()
+        for last in (1, 2):
+            sequence = Sequence(bpy.context, [eye, fog], options, 1, last)
+            paths.add(bake.run(sequence, bpy.context).path.parent)
+        assert len(paths) == 1
+
     def test_an_occluder_without_an_area_stops_nothing(self, scene):
         leaves, wall = scenery.add_leaves(), scenery.add_ball("wall", radius=0, role="OCCLUDER")
         bake_light(leaves, wall)
@@ -206,7 +237,7 @@ class TestBakes:
         leaves, speck = scenery.add_leaves(), scenery.add_ball("speck", radius=0.01)
         outcome = bake_light(leaves, speck)
         (note,) = [note for note in outcome.notes if "voxels large among the others" in note]
-        assert note.startswith("'speck' is only 0.1 voxels")
+        assert note.startswith("'speck' is only 0.04 voxels")
 
     def test_long_names(self, scene):
         leaves = scenery.add_leaves(name="y" * 300)

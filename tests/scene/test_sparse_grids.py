@@ -26,6 +26,13 @@ ANYWHERE = np.eye(4), (0, 0, 0), (8, 8, 8)
 STRAY = "has voxels far from the others that are too thin to be seen"
 
 
+@pytest.fixture
+def scene(scene):
+    """With few voxels: these tests are not about the light."""
+    scene.lb_lighting.resolution = 8
+    return scene
+
+
 def puff(size=24):
     """(size, size, size): density that fades to 0 at the faces of the grid."""
     axis = (np.arange(size) + 0.5) / size * 2 - 1
@@ -114,6 +121,15 @@ class TestBlocks:
         assert peak < 32e6
         mass = found.sum() * domain.voxel_size**3
         assert mass == pytest.approx(0.75 * grid.activeVoxelCount() * (2 / 24) ** 3, rel=0.01)
+
+    def test_lattices_that_are_far_coarser(self):
+        """Where a block of the grid lies within one voxel, or across two."""
+        grid = scatter([(0, 0, 0), (70, 0, 0)])
+        for shift in (0, 0.3):
+            domain = Domain((-1000 * (1 + shift),) * 3, 1000, (3, 3, 3))
+            found = volumes.resample(grid, np.eye(4), domain)
+            mass = found.sum() * domain.voxel_size**3
+            assert mass == pytest.approx(0.75 * 2 * 16**3 * (2 / 24) ** 3, rel=0.01)
 
     def test_voxels_that_are_millions_apart(self):
         grid = scatter([(0, 0, 0), (9_000_000, -9_000_000, 0)])
@@ -224,6 +240,14 @@ class TestValues:
         told = "The grid 'density' of 'fog' has the value 0.25 where it is empty; that counts as 0."
         assert notes == [told]
 
+    def test_no_density_at_all_is_left_out(self, scene, tmp_path):
+        nothing, leaves = add_volume(tmp_path, make_grid(-puff())), scenery.add_leaves()
+        with pytest.raises(SceneError, match="'density' of 'fog' has no values over 0 to light"):
+            bake_light(nothing)
+        outcome = bake_light(nothing, leaves)
+        assert any(note.startswith("'fog' is left out. The grid") for note in outcome.notes)
+        assert not nothing.hide_viewport
+
     @pytest.mark.parametrize("value", [np.nan, -1])
     def test_a_bake_tells_and_shows_it(self, scene, tmp_path, value):
         values = scenery.ball()
@@ -321,5 +345,5 @@ class TestStrays:
 
     def test_a_bake_lights_the_puff(self, scene, tmp_path):
         outcome = bake_light(self.add(tmp_path, 1e-6))
-        assert outcome.lit.domain.voxel_size <= 2 * 2 / 24
+        assert outcome.lit.domain.voxel_size <= 24 / 4 * 2 / 24
         assert any(STRAY in note for note in outcome.notes)
