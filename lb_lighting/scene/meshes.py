@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .voxelize import FARTHEST, Faces, closed_triangles
+from .voxelize import FARTHEST, Faces, closed_triangles, is_finite
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,15 @@ class Mesh:
     faces: int
     split: np.ndarray | None
     slots: np.ndarray | None
+
+    @cached_property
+    def fault(self):
+        """What the mesh has that keeps it from being lit, and what to do, or None."""
+        if np.any(self.vertex < 0) or np.any(self.vertex >= len(self.points)):
+            return "corners without a vertex; rebuild its mesh"
+        if not is_finite(self.points) and not is_finite(self.points[self.vertex]):
+            return "vertices that are not finite; repair or delete them"
+        return None
 
     @cached_property
     def corners(self):

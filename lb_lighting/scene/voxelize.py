@@ -72,14 +72,9 @@ class Faces:
 
     def refuse_broken(self, dimensions=2):
         """SceneError for a mesh that has no place in the world, or fewer `dimensions` than that."""
-        mesh, points = self.mesh, self.mesh.points
-        if np.any(mesh.vertex < 0) or np.any(mesh.vertex >= len(points)):
-            raise SceneError(f"The mesh of '{self.name}' has corners without a vertex; rebuild it.")
-        if not _is_finite(points) and not _is_finite(points[mesh.vertex]):
-            raise SceneError(
-                f"'{self.name}' has vertices that are not finite; repair or delete them."
-            )
-        if not _is_finite(self.matrices):
+        if self.mesh.fault:
+            raise SceneError(f"'{self.name}' has {self.mesh.fault}.")
+        if not is_finite(self.matrices):
             raise SceneError(
                 f"'{self.name}' is placed by a transform that is not finite; clear its location, "
                 "rotation and scale, and those of its instances."
@@ -93,7 +88,8 @@ class Faces:
         return self.mesh.slot == self.slot
 
 
-def _is_finite(values):
+def is_finite(values):
+    """Whether all of the lengths `values`, m, are finite and in reach."""
     return bool(np.all(np.abs(values) < FARTHEST))  # NaN is not
 
 
