@@ -21,8 +21,8 @@ from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights
+from .scene.resample import box_bounds
 from .scene.sources import Reader, open_sources
-from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
 from .ties import mend
@@ -121,12 +121,13 @@ class Baking(Job):
         decided  what another of them has `Decided`, or None
         """
         objects = sources_of(context.scene, objects)
-        _refuse_unwritable(objects, options)
+        volume.require_writable(folder_of(options))
         self.options, self.frames = options, frames
         self.scene = context.scene.session_uid
-        self.objects = [ob.session_uid for ob in objects]
         path = frames.path(context.scene.frame_current) if frames else None
-        super().__init__(gather(context, objects, options, path, decided))
+        task = gather(context, objects, options, path, decided, _refuse_unwritable)
+        self.objects = [source.uid for source in task.sources]
+        super().__init__(task)
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
@@ -164,7 +165,9 @@ class Baking(Job):
         objects = [ob for ob in self.found() if scene and ob.name in scene.objects]
         if len(objects) < len(self.objects):
             raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
-        _refuse_unwritable(objects, self.options)
+        for ob in objects:
+            _refuse_unwritable(ob)
+        volume.require_writable(folder_of(self.options))
         return scene, objects
 
 
@@ -183,11 +186,15 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, decided=None):
+def gather(context, objects, options, path=None, decided=None, require=None):
     """The task `Light` that the scene poses at the current frame.
 
     path     of the file that it is to write, or None for one that is new
     decided  what another frame has `Decided`, or None
+    require  see `open_sources`
+
+    Its `sources` are those of `objects` that can be lit; their `uid` tells which. Notes name the
+    others.
     """
     decided = decided or Decided()
     with _unhidden(context, objects):
@@ -200,7 +207,9 @@ def gather(context, objects, options, path=None, decided=None):
             custom=Optics(options.sigma_s, options.sigma_a, options.g),
             instances_lit=options.foliage == "MODIFIER",
         )
-        sources = open_sources(objects, reader)
+        sources = open_sources(objects, reader, require)
+        lit = {source.uid for source in sources}
+        objects = [ob for ob in objects if ob.session_uid in lit]
         box = _box(context, options.domain) if options.domain else None
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
@@ -236,6 +245,7 @@ def gather(context, objects, options, path=None, decided=None):
             "frame": context.scene.frame_current,
         },
         decided=decided,
+        left_out=[],
     )
 
 
@@ -254,6 +264,8 @@ def apply(context, objects, task, lit, frames=None):
         modifier.remove_modifier(ob)
         shading.light_surface(ob, *how)
     for number in task.readers:
+        if number in lit.left_out:
+            continue
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
         modifier.light_foliage(ob, shown, task.whole)
@@ -303,22 +315,18 @@ def sources_of(scene, objects):
     baked = volume.baked_volumes(scene)
     found = {}  # keeps the order
     for ob in objects:
-        sources = volume.sources_of(scene, ob) if ob in baked else [ob]
-        if not sources:
-            raise SceneError(f"What '{ob.name}' was baked from is gone; select something else.")
-        found.update(dict.fromkeys(sources))
+        sources = volume.sources_of(scene, ob) if ob in baked else []
+        found.update(dict.fromkeys(sources or [ob]))
     return list(found)
 
 
-def _refuse_unwritable(objects, options):
-    """Raise OutputError, before any work, for what could not take its light afterwards."""
-    for ob in objects:
-        if not ob.is_editable:
-            raise OutputError(f"'{ob.name}' is linked from another file; make it local.")
-    meshes = [ob for ob in objects if ob.type == "MESH"]
-    attribute.refuse_unwritable(meshes)
-    shading.refuse_unwritable(meshes)
-    volume.require_writable(folder_of(options))
+def _refuse_unwritable(ob):
+    """Raise OutputError, before any work, for an object that could not take its light."""
+    if not ob.is_editable:
+        raise OutputError(f"'{ob.name}' is linked from another file; make it local.")
+    if ob.type == "MESH":
+        attribute.refuse_unwritable([ob])
+        shading.refuse_unwritable([ob])
 
 
 @contextmanager
@@ -343,6 +351,10 @@ def _box(context, name):
         raise SettingsError(f"There is no object '{name}' to light the bounds of; choose another.")
     corners = np.array(ob.bound_box)
     lower, upper = box_bounds(corners.min(axis=0), corners.max(axis=0), np.array(ob.matrix_world))
+    if not np.isfinite([lower, upper]).all():
+        raise SettingsError(
+            f"The domain '{name}' has a location, rotation or scale that is not a number; clear it."
+        )
     if not np.ptp([lower, upper], axis=0).any():
         raise SettingsError(f"The domain '{name}' has no size of its own; choose a mesh.")
     return lower, upper
@@ -370,11 +382,12 @@ def _show_volume(context, objects, task, lit, frames):
     coefficients = optics.sigma_s, optics.sigma_a, optics.g
     core = lit.domain.voxel_size
     shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength, lit.lobes)
-    volumes = any(source.is_volume for source in task.sources)
+    lost = {task.sources[number] for number in lit.left_out}
+    volumes = any(source.is_volume for source in task.sources if source not in lost)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes
     for own, source in zip(objects, task.sources, strict=True):
-        if source.is_volume and mode == "REPLACE":
+        if source.is_volume and mode == "REPLACE" and source not in lost:
             # Blender deselects what is hidden; the next bake is to find it all the same.
             ob.select_set(ob.select_get() or own.select_get())
             shading.hide_source(own)

@@ -109,6 +109,8 @@ def _bake(parsed):
     _open(parsed)
     target = _target(parsed)
     scene = bpy.context.scene
+    if bpy.context.mode != "OBJECT":  # the file was saved so
+        bpy.ops.object.mode_set(mode="OBJECT")
     if parsed.frame is not None:
         scene.frame_set(parsed.frame)
     changes = {f.name: getattr(parsed, f.name) for f in fields(bake.Options)}

@@ -696,15 +696,6 @@ def linked_object(folder):
     return here.objects
 
 
-def noise(value):
-    def make(folder):
-        values = scenery.ball()
-        values[3, 3, 3] = value
-        return [scenery.add_fog(folder, values)]
-
-    return make
-
-
 def fog(folder):
     return [scenery.add_fog(folder)]
 
@@ -731,9 +722,6 @@ BAD_SOURCES = {
         SceneError,
         "'fog' has no grid 'smoke'; choose one of: density",
     ),
-    "NaN": (noise(np.nan), {}, SceneError, "'density' has 1 voxels that are negative or not"),
-    "infinite": (noise(np.inf), {}, SceneError, "'density' has 1 voxels that are negative or not"),
-    "negative": (noise(-1), {}, SceneError, "'density' has 1 voxels that are negative or not"),
     "no density": (
         lambda folder: [scenery.add_ball(role="OCCLUDER")],
         {},

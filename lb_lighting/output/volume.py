@@ -13,8 +13,11 @@ from mathutils import Matrix
 
 from ..errors import OutputError
 from ..ours import TAG, is_ours
+from ..scene.sources import may_be_lit
 from .vdb import is_baked_file
 
+LONGEST_NAME = 48  # letters, of up to 4 bytes; file systems take names of 255 bytes
+LONGEST_PATH = 1023  # bytes that Blender keeps of a path
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
 IDENTITY = "lb_lighting_identity"  # on either: a text of its own, which tells it from its copies
 RETURNED = "lb_lighting_returned"  # on a source: it shows again while its light is in no scene
@@ -27,7 +30,8 @@ def fresh_path(folder, source_name):
     Blender keeps what it once read from a path until it quits, even when the file is
     rewritten or deleted; so no bake may use the path of an earlier one.
     """
-    return Path(folder) / f"{bpy.path.clean_name(source_name)}_lb_{uuid.uuid4().hex[:8]}.vdb"
+    name = bpy.path.clean_name(source_name)[:LONGEST_NAME]
+    return Path(folder) / f"{name}_lb_{uuid.uuid4().hex[:8]}.vdb"
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ def fresh_frames_folder(folder, source_name):
 def frames_folder(scene, sources):
     """The folder of the `Frames` that show the light of the objects `sources`, or None."""
     for ob in baked_volumes(scene):
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources):
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(filter(may_be_lit, sources)):
             return baked_path(ob).parent
     return None
 
@@ -234,7 +238,11 @@ def unsaved_folder():
 
 def require_writable(folder):
     """OutputError, before any work, for a folder that is not there or takes no files."""
-    if not Path(folder).is_dir():
+    if len(os.fsencode(fresh_path(folder, LONGEST_NAME * "x"))) > LONGEST_PATH:
+        raise OutputError(
+            f"The folder {str(folder)[:40]}... has too long a path for Blender; choose another."
+        )
+    if not os.path.isdir(folder):
         raise OutputError(f"The folder {folder} does not exist; choose another or make it.")
     try:
         with tempfile.TemporaryFile(dir=folder):

@@ -5,14 +5,15 @@ Materials are read in Blender; `shining` needs none, and is done in the solver's
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ..errors import SceneError
 from .black_body import black_body_color
+from .resample import averaged
 from .shaders import Shader
 from .values import Scaled
-from .volumes import resample_array
 
 SHINING_NODES = {"EMISSION", "PRINCIPLED_VOLUME", "VOLUME_COEFFICIENTS"}
 DARK_NODES = {"VOLUME_SCATTER", "VOLUME_ABSORPTION"}
@@ -130,8 +131,8 @@ def shining(glows, cells, inside, domain):
 
     Between voxels what they shine with is interpolated, not their temperatures, as in Cycles.
 
-    cells   {name: `Cells`} of the grids that there are: others are 0, named temperatures 1
-    inside  `Cells` over 0 where what has no grid shines
+    cells   {name: `Readable`} of the grids that there are: others are 0, named temperatures 1
+    inside  `Readable` over 0 where what has no grid shines
     """
     total = np.zeros((3, *domain.shape), np.float32)
     for glow in glows:
@@ -139,9 +140,25 @@ def shining(glows, cells, inside, domain):
         if not set(glow.needed) <= set(known):
             continue
         place = cells[known[0]] if known else inside
-        radiance = glow.radiance({name: cells[name].at(place) for name in known})
-        if not known:
-            radiance = (place.values > 0)[..., None] * radiance
-        total += [resample_array(band, place.index_to_world, domain) for band in
-                  np.moveaxis(np.asarray(radiance, np.float32), -1, 0)]  # fmt: skip
+        total += averaged(place, domain, partial(_radiance, glow, known, cells, place), (3,))
     return total
+
+
+def _radiance(glow, known, cells, place, first, values):
+    """(3, ...) float32: what a glow emits in a block of `place`, with the `known` grids."""
+    shape = values.shape[-3:]
+    given = {
+        name: values if cells[name] is place else cells[name].at(place.index_to_world, first, shape)
+        for name in known
+    }
+    radiance = glow.radiance({name: _scalar(block, shape) for name, block in given.items()})
+    if not known:
+        radiance = (_scalar(values, shape) > 0)[..., None] * radiance
+    return np.moveaxis(np.asarray(radiance, np.float32), -1, 0)
+
+
+def _scalar(values, shape):
+    """Of a vector in each voxel the mean of its components, as Cycles takes it."""
+    if values.ndim == 3:
+        return values
+    return values.mean(axis=0 if values.shape[1:] == shape else -1)

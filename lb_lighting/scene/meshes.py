@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .voxelize import Faces, closed_triangles
+from .voxelize import FARTHEST, Faces, closed_triangles, is_finite
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,15 @@ class Mesh:
     faces: int
     split: np.ndarray | None
     slots: np.ndarray | None
+
+    @cached_property
+    def fault(self):
+        """What the mesh has that keeps it from being lit, and what to do, or None."""
+        if np.any(self.vertex < 0) or np.any(self.vertex >= len(self.points)):
+            return "corners without a vertex; rebuild its mesh"
+        if not is_finite(self.points) and not is_finite(self.points[self.vertex]):
+            return "vertices that are not finite; repair or delete them"
+        return None
 
     @cached_property
     def corners(self):
@@ -148,7 +157,10 @@ def vertices(ob, depsgraph):
     """
     evaluated = ob.evaluated_get(depsgraph)
     mesh = evaluated.data if len(evaluated.data.vertices) == len(ob.data.vertices) else ob.data
-    return read_mesh(mesh), np.array(evaluated.matrix_world)
+    mesh = read_mesh(mesh)
+    nowhere = ~np.all(np.abs(mesh.points) < FARTHEST, axis=1)  # and of no face, see Faces
+    mesh.points[nowhere] = 0
+    return mesh, np.array(evaluated.matrix_world)
 
 
 def _materials(ob):
@@ -170,8 +182,8 @@ def read_mesh(mesh, slots=1):
         face,
         len(mesh.polygons),
         None if few else _read(mesh.loop_triangles, "loops", np.int32, 3).reshape(-1, 3),
-        # Faces that name a slot which is not there are drawn with the last one.
-        None if material is None else np.minimum(material, slots - 1),
+        # Faces that name a slot which is not there are drawn with the nearest one.
+        None if material is None else np.clip(material, 0, slots - 1),
     )
 
 
@@ -189,8 +201,13 @@ def _arrays(mesh):
     return (
         _read(attributes["position"].data, "vector", np.float32, 3),
         _read(attributes[".corner_vert"].data, "value", np.int32),
-        slots and _read(slots.data, "value", np.int32),
+        _read(slots.data, "value", np.int32) if _is_of_faces(slots) else None,
     )
+
+
+def _is_of_faces(attribute):
+    """Whether an attribute, or None, is a whole number for each face."""
+    return attribute and (attribute.domain, attribute.data_type) == ("FACE", "INT")
 
 
 def _used(mesh):

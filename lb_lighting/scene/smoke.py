@@ -4,7 +4,8 @@
 import numpy as np
 
 from ..errors import SceneError
-from .volumes import Cells, box_bounds, world_matrix
+from .resample import Cells, box_bounds
+from .volumes import world_matrix
 
 SCALAR_GRIDS = ("density", "flame", "temperature")
 

@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import LightingError, SceneError
+from ..ours import is_ours
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
@@ -29,12 +30,17 @@ from .materials import (
     volume_shines,
 )
 from .meshes import world_parts
+from .resample import averaged
+from .sparse import Matter
 
 FROM_MATERIAL = "MATERIAL"
 CUSTOM = "CUSTOM"
 COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
 ALIKE = 1e-6  # albedos and mean cosines no further apart than that are the same
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
+WORTHWHILE = 0.9  # of a volume's longest edge, over which nothing thin is left out
+DARK_TYPES = {"ARMATURE", "CAMERA", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
+NAMED = 8  # objects that one note lists by name
 
 
 @dataclass(frozen=True)
@@ -166,36 +172,99 @@ class Reader:
         return _scaled(self.chosen(fallback), self.optical_depth / length)
 
 
-def open_sources(objects, reader):
-    """The sources that the original `objects` are; SceneError names one that is none."""
+def open_sources(objects, reader, require=None):
+    """The sources among the original `objects`, in their order.
+
+    require  called with each object that is a source; raises a LightingError for one that cannot
+             be lit
+
+    Objects that are no source, are hidden or cannot be read are skipped, with a note. Where nothing
+    is left, the first that cannot be read is raised, or a SceneError for one of the others.
+    """
     if not objects:
         raise SceneError("Nothing is selected; select a volume, a smoke domain or a mesh.")
-    for ob in objects:
-        if not ob.visible_get(view_layer=reader.depsgraph.view_layer):
-            raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
-    surfaces = [ob for ob in objects if _is_surface(ob)]
+    hidden = [ob for ob in objects if not ob.visible_get(view_layer=reader.depsgraph.view_layer)]
+    shown = [ob for ob in objects if ob not in hidden]
     parts = defaultdict(list)
-    for part in world_parts(reader.depsgraph, surfaces):
+    for part in world_parts(reader.depsgraph, filter(_is_surface, shown)):
         parts[part.object].append(part)
-    return [_open(ob, parts.get(ob, []), reader) for ob in objects]
+    sources, neither, failed = [], [], []
+    for ob in shown:
+        own = parts.get(ob, [])
+        if not _is_source(ob, own, reader):
+            neither.append(ob)
+            continue
+        noted = len(reader.notes)
+        try:
+            if require is not None:
+                require(ob)
+            sources.append(_open(ob, own, reader))
+        except LightingError as error:
+            del reader.notes[noted:]
+            failed.append((ob, error))
+    if not sources:
+        _refuse(hidden, neither, failed)
+    reader.notes[:0] = [
+        *_skipped(neither, "have neither a volume nor faces", "has neither a volume nor faces"),
+        *_skipped(hidden, "are hidden", "is hidden"),
+        *(f"'{ob.name}' is left out. {error}" for ob, error in failed),
+    ]
+    return sources
+
+
+def may_be_lit(ob):
+    """Whether an object is of a kind that can have a volume or faces."""
+    return ob.type not in DARK_TYPES and (ob.type != "EMPTY" or ob.instance_type != "NONE")
+
+
+def _refuse(hidden, neither, failed):
+    """Raise why no object is a source."""
+    if failed:
+        raise failed[0][1]
+    if neither:
+        raise SceneError(
+            f"'{neither[0].name}' has neither a volume nor faces; "
+            "select a volume, a smoke domain or a mesh."
+        )
+    raise SceneError(f"'{hidden[0].name}' is hidden; show it to light it.")
+
+
+def _skipped(objects, they, it):
+    """[the note that names the skipped `objects`], or none where there are none."""
+    if not objects:
+        return []
+    names = ", ".join(ob.name for ob in objects[:NAMED])
+    more = f" and {len(objects) - NAMED} more" if len(objects) > NAMED else ""
+    return [f"Skipped, as {f'they {they}' if len(objects) > 1 else f'it {it}'}: {names}{more}."]
 
 
 def _is_surface(ob):
     return ob.type in SURFACE_TYPES and not smoke.find_domain_settings(ob)
 
 
+def _is_source(ob, parts, reader):
+    """Whether an object has a volume or faces (`parts`)."""
+    if ob.type == "VOLUME" or parts or smoke.find_domain_settings(ob) or _is_edited(ob):
+        return True
+    return volumes.has_volume(ob, reader.depsgraph)
+
+
+def _is_edited(ob):
+    """Whether an object's mesh is in Edit Mode, which hides its faces."""
+    return ob.type == "MESH" and ob.data.is_editmode
+
+
 def _open(ob, parts, reader):
+    if _is_edited(ob):
+        raise SceneError(f"'{ob.name}' is in Edit Mode; leave it to light the mesh.")
+    if ob.type == "VOLUME" and is_ours(ob):
+        raise SceneError(f"What '{ob.name}' was baked from is gone; select something else.")
     if ob.type == "VOLUME":
         return VolumeSource(ob, reader)
     if smoke.find_domain_settings(ob):
         return SmokeSource(ob, reader)
-    if not parts and volumes.has_volume(ob, reader.depsgraph):
-        return VolumeSource(ob, reader)
     if not parts:
-        raise SceneError(
-            f"'{ob.name}' has neither a volume nor faces; "
-            "select a volume, a smoke domain or a mesh."
-        )
+        return VolumeSource(ob, reader)
     return _SURFACES[_surface_role(ob, parts)](ob, parts, reader)
 
 
@@ -210,6 +279,7 @@ def _surface_role(ob, parts):
 class _Source:
     """name and place of its object, bounds ((lower, upper) in m), what it puts on a lattice.
 
+    uid          the object's number for the session
     place        (4, 4), the object's space to world space
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
@@ -227,8 +297,12 @@ class _Source:
     glows = ()
 
     def __init__(self, ob, reader):
-        self.name, self.reader = ob.name, reader
+        self.name, self.uid, self.reader = ob.name, ob.session_uid, reader
         self.place = np.array(ob.evaluated_get(reader.depsgraph).matrix_world)
+        if not np.isfinite(self.place).all():
+            raise SceneError(
+                f"'{ob.name}' has a location, rotation or scale that is not a number; clear it."
+            )
 
     def shares(self, domain):
         """[Share] on the lattice of `domain`."""
@@ -292,10 +366,21 @@ class _GridSource(_Source):
         """What counts of the grid's values at most."""
         return self.material.limit if self.material else np.inf
 
+    @property
+    def fills(self):
+        """Whether the material is homogeneous: all of the grid that is over 0 is density 1."""
+        attribute = self.material and self.material.density_attribute
+        return self.material is not None and attribute is None and not self.reader.grid
+
+    def _counted(self, _first, values):
+        """Values of the grid as the material counts them; of a vector the mean, as in Cycles."""
+        numbers = values if values.ndim == 3 else values.mean(axis=0)
+        return np.minimum(numbers, self.limit)
+
     def share(self, density, domain):
         if self.material is None:
             return Share(density, self.reader.preset(self.preset, _longest(domain)))
-        if self.material.density_attribute is None and not self.reader.grid:
+        if self.fills:
             density = (density > 0).astype(np.float32)  # a homogeneous material fills the grid
         return Share(density, self.material.optics)
 
@@ -329,12 +414,68 @@ class VolumeSource(_GridSource):
             )
         return slots
 
-    @property
+    @cached_property
+    def cells(self):
+        """The `SparseCells` of the density."""
+        return volumes.cells_of(self.grid.vdb, self.matrix)
+
+    @cached_property
+    def matter(self):
+        """The `Matter` of the density, with notes of what counts for something else."""
+        matter = Matter.of(self.cells, self.fills)
+        self.reader.notes.extend(matter.oddities(self.cells, self.name))
+        return matter
+
+    @cached_property
+    def fires(self):
+        """{name: (`SparseCells`, `Matter`)} of the grids that it shines by, noted likewise."""
+        found = {}
+        for name, grid in self.fire.items():
+            cells = volumes.cells_of(grid.vdb, self.matrix)
+            found[name] = cells, Matter.of(cells)
+            self.reader.notes.extend(found[name][1].oddities(cells, self.name))
+        return found
+
+    @cached_property
     def bounds(self):
-        return volumes.world_bounds(self.grid.vdb, self.matrix)
+        whole = self.cells.bounds
+        seen = self._seen_bounds(whole)
+        if np.ptp(seen, axis=0).max() > WORTHWHILE * np.ptp(whole, axis=0).max():
+            return whole
+        share = self.matter.share_outside(self.cells, seen)
+        self.reader.notes.append(
+            f"'{self.name}' has voxels far from the others that are too thin to be seen, with "
+            f"{share:.1g} of its density. They are not lit; choose a Domain to light them, too."
+        )
+        return seen
+
+    def _seen_bounds(self, whole):
+        """The part of the box `whole` in which anything can be seen."""
+        shines_all_over = any(not self.fires.keys() & set(glow.grids) for glow in self.glows)
+        if not len(self.matter.bricks) or shines_all_over:
+            return whole
+        seen = whole
+        # In a smaller box, a preset is denser: the second time it is as dense as it can be.
+        for _ in range(2):
+            sigma_t = self._sigma_t(np.ptp(seen, axis=0).max())
+            if not sigma_t:
+                return whole
+            seen = self.matter.bounds(self.cells, sigma_t)
+        boxes = [seen, *(matter.bounds(cells) for cells, matter in self.fires.values())]
+        return np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+
+    def _sigma_t(self, longest):
+        """1/m at density 1, in a domain whose longest edge has `longest` m."""
+        if self.material is None:
+            return Share(None, self.reader.preset(self.preset, longest)).sigma_t
+        return Share(None, self.material.optics).sigma_t / self._metre
 
     def shares(self, domain):
-        density = volumes.resample(self.grid.vdb, self.matrix, domain, self.limit)
+        if not len(self.matter.bricks) and not self.glows:
+            raise SceneError(
+                f"The grid '{self.grid.name}' of '{self.name}' has no values over 0 to light."
+            )
+        density = averaged(self.cells, domain, self._counted, ())
         if self.material:
             density /= self._metre
         return [self.share(density, domain)]
@@ -342,12 +483,8 @@ class VolumeSource(_GridSource):
     def emission(self, domain):
         if not self.glows:
             return None
-        cells = {
-            name: volumes.near_cells(grid.vdb, self.matrix, domain)
-            for name, grid in self.fire.items()
-        }
-        inside = volumes.near_cells(self.grid.vdb, self.matrix, domain)
-        return shining(self.glows, cells, inside, domain) / self._metre
+        cells = {name: cells for name, (cells, _matter) in self.fires.items()}
+        return shining(self.glows, cells, self.cells, domain) / self._metre
 
     @property
     def _metre(self):
@@ -377,7 +514,7 @@ class SmokeSource(_GridSource):
             )
 
     def shares(self, domain):
-        share = self.share(self.cells.at_most(self.limit).on(domain), domain)
+        share = self.share(averaged(self.cells, domain, self._counted), domain)
         if self.hue is not None:
             share = Share(share.density, tinted(share.optics, self.hue))
         return [share]
@@ -387,9 +524,15 @@ class SmokeSource(_GridSource):
 
 
 class _SurfaceSource(_Source):
+    """dimensions  that it has at least where it is not scaled to nothing"""
+
+    dimensions = 2
+
     def __init__(self, ob, parts, reader):
         super().__init__(ob, reader)
         self.faces = [part.faces for part in parts]
+        for faces in self.faces:
+            faces.refuse_broken(self.dimensions)
         # A modifier of the object sees the instances that modifiers make, and no others.
         duplicates = ob.instance_type != "NONE" or len(ob.particle_systems)
         lit = self.is_foliage and reader.instances_lit and not duplicates
@@ -449,6 +592,7 @@ class SolidSource(_SurfaceSource):
 
     preset = "pmma"
     is_body = True
+    dimensions = 3
 
     def __init__(self, ob, parts, reader):
         materials = [part.material for part in parts]
@@ -502,7 +646,8 @@ class OccluderSource(_SurfaceSource):
         closed = np.concatenate([faces.closed for faces in self.faces])
         areas = [faces.area for faces in self.faces]
         color = np.average(self.colors, axis=0, weights=areas if any(areas) else None)
-        return voxelize.opaque_share(triangles, closed, domain), color
+        stopped = voxelize.opaque_share(triangles, closed, domain)
+        return (stopped, color) if stopped.any() else None
 
 
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}

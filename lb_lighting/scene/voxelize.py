@@ -24,6 +24,7 @@ LEAKED = -1e-3  # voxels: a level set that leaks has no distance below zero but 
 # Area of a surface's holes over its own, up to which it is closed. A hole is a disc with the open
 # edges around it: so a flat sheet has 1 or more, and a long pipe, which light crosses twice, less.
 OPEN = 0.25
+FARTHEST = 1e15  # m: what is farther away, or larger, is taken for infinite
 BEHIND = 1e-4  # voxels: how far behind its front a sheet is put, where two voxels could have it
 
 
@@ -61,8 +62,35 @@ class Faces:
         return area_of(self.triangles)
 
     @property
+    def dimensions(self):
+        """How many dimensions are left of the mesh's space where it is scaled least to nothing."""
+        axes = self.matrices[:, :3, :3]
+        size = np.linalg.norm(axes, axis=(1, 2))
+        if np.any(np.abs(np.linalg.det(axes)) > 1e-6 * size**3):  # quick, where there are many
+            return 3
+        return int(np.linalg.matrix_rank(axes.astype(np.float32)).max())
+
+    def refuse_broken(self, dimensions=2):
+        """SceneError for a mesh that has no place in the world, or fewer `dimensions` than that."""
+        if self.mesh.fault:
+            raise SceneError(f"'{self.name}' has {self.mesh.fault}.")
+        if not is_finite(self.matrices):
+            raise SceneError(
+                f"'{self.name}' is placed by a transform that is not finite; clear its location, "
+                "rotation and scale, and those of its instances."
+            )
+        if self.dimensions < dimensions:
+            along = "" if dimensions == 2 else " along an axis"
+            raise SceneError(f"'{self.name}' is scaled to nothing{along}; give it a size.")
+
+    @property
     def _own(self):
         return self.mesh.slot == self.slot
+
+
+def is_finite(values):
+    """Whether all of the lengths `values`, m, are finite and in reach."""
+    return bool(np.all(np.abs(values) < FARTHEST))  # NaN is not
 
 
 def world_bounds(faces):

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from .. import exchange
-from ..errors import SceneError
+from ..errors import LightingError, SceneError
 from ..options import Options
 from ..output.ambient import ambient_grids
 from ..output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
@@ -19,6 +19,7 @@ from ..transport.medium import Domain, Medium, Optics, paper_units
 from ..transport.planner import Plan, plan
 from ..transport.solver import Settings, require_memory, solve
 
+COARSEST = 2  # voxels along its longest edge that a source should have
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
 # In the file's metadata: of the options; how often its light was gathered;
@@ -74,6 +75,7 @@ class Lit:
     times    that it was, or 0
     ambient  {number of the source: what `Vertices.light` returns}
     notes    sentences that the user should read
+    left_out numbers of the sources that could not be lit
     """
 
     domain: Domain
@@ -85,6 +87,7 @@ class Lit:
     times: int
     ambient: dict
     notes: list
+    left_out: list
 
 
 @dataclass
@@ -101,6 +104,7 @@ class Light:
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     decided   what another frame has `Decided`; whether surfaces show all light is so in any case
+    left_out  [source] that turn out to be unreadable on the way
     """
 
     options: Options
@@ -113,6 +117,7 @@ class Light:
     path: str
     facts: dict
     decided: Decided
+    left_out: list
 
     @property
     def whole(self):
@@ -163,7 +168,7 @@ class Light:
         ambient = {
             number: vertices.light(falling, occlusion)
             for number, vertices in self.surfaces.items()
-            if self.sources[number].shows_light
+            if self.sources[number].shows_light and self.sources[number] not in self.left_out
         }
         optics = problem.shown[1]
         return Lit(
@@ -176,13 +181,15 @@ class Light:
             _times(field),
             ambient,
             self.reader.notes,
+            [number for number, source in enumerate(self.sources) if source in self.left_out],
         )
 
     def problem(self):
         """The `Problem` that the scene poses."""
         domain = self._domain()
-        shares = {source: source.shares(domain) for source in self.sources}
-        occlusions = [o for source in self.sources if (o := source.occlusion(domain)) is not None]
+        shares = self._of_each(lambda source: source.shares(domain))
+        occlusions = self._of_each(lambda source: source.occlusion(domain)).values()
+        occlusions = [occlusion for occlusion in occlusions if occlusion is not None]
         everything = [share for own in shares.values() for share in own]
         emission = self._emission(domain)
         shines = emission is not None
@@ -205,14 +212,16 @@ class Light:
 
     def _emission(self, domain):
         """(3, nx, ny, nz) W/(m^3 sr) that the sources shine with by themselves, or None."""
-        found = [e for source in self.sources if (e := source.emission(domain)) is not None]
+        found = self._of_each(lambda source: source.emission(domain)).values()
+        found = [emission for emission in found if emission is not None]
         if found and self.options.model == "paper":
             self.reader.notes.append("The paper's model leaves out the light of fire.")
             return None
         return np.sum(found, axis=0) if np.any(found) else None
 
     def _domain(self):
-        corners = np.concatenate([self.box] if self.box else [s.bounds for s in self.sources])
+        bounds = {} if self.box else self._of_each(lambda source: source.bounds)
+        corners = np.concatenate([self.box] if self.box else list(bounds.values()))
         padding, resolution = self.options.padding, self.options.resolution
         domain = Domain.around(corners.min(axis=0), corners.max(axis=0), resolution, padding)
         # A plan chooses what fits; unscattered light is the least of it.
@@ -224,7 +233,34 @@ class Light:
                 f"Voxels of {domain.voxel_size:.1g} m are too small for a volume file; "
                 "scale the scene up."
             )
+        for source, (lower, upper) in bounds.items():
+            wide = (upper - lower).max() / domain.voxel_size
+            if wide < COARSEST and len(bounds) > 1:
+                self.reader.notes.append(
+                    f"'{source.name}' is only {wide:.1g} voxels large among the others; light it "
+                    "by itself to see its shape."
+                )
         return domain
+
+    def _of_each(self, find):
+        """{source: find(source)}, without those that cannot be read, which are noted.
+
+        Raises the LightingError of the first where none is left.
+        """
+        found, failed = {}, []
+        for source in self.sources:
+            if source in self.left_out:
+                continue
+            try:
+                found[source] = find(source)
+            except LightingError as error:
+                failed.append((source, error))
+        if failed and not found:
+            raise failed[0][1]
+        for source, error in failed:
+            self.left_out.append(source)
+            self.reader.notes.append(f"'{source.name}' is left out. {error}")
+        return found
 
     def solve(self, problem, settings, progress=None, residual=None):
         """The `Field` of a `Problem`, by the model and on the device that were chosen."""

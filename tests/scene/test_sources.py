@@ -131,11 +131,6 @@ class TestRoles:
         ((source,), _notes) = read(instance)
         assert np.mean(source.bounds, axis=0) == pytest.approx((0, 0, 7), abs=0.2)
 
-    def test_what_is_neither_is_named(self):
-        leaves, camera = scenery.add_leaves(), scenery.link("eye", bpy.data.cameras.new("eye"))
-        with pytest.raises(SceneError, match=r"^'eye' has neither a volume nor faces; select"):
-            read(leaves, camera)
-
     def test_nothing(self):
         with pytest.raises(SceneError, match=r"^Nothing is selected; select"):
             read()

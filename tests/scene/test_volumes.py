@@ -176,15 +176,6 @@ class TestResample:
         found = volumes.resample(make_grid(values, "color"), Matrix.Identity(4), domain)
         assert found == pytest.approx(np.moveaxis(values, -1, 0), abs=1e-5)
 
-    @pytest.mark.parametrize("bad", [np.nan, np.inf, -1])
-    def test_bad_voxels_are_refused(self, bad):
-        grid = make_grid(make_blob(8))
-        for voxel in ((3, 4, 5), (4, 4, 4)):  # copyFromArray would drop NaN
-            grid.getAccessor().setValueOn(voxel, bad)
-        domain = Domain((0, 0, 0), 3 * CELL, (3, 3, 3))
-        with pytest.raises(SceneError, match="'density' has 2 voxels"):
-            volumes.resample(grid, Matrix.Identity(4), domain)
-
     def test_empty_grid_is_refused(self):
         with pytest.raises(SceneError, match="'density' is empty"):
             volumes.world_bounds(make_grid(np.zeros((4, 4, 4))), Matrix.Identity(4))

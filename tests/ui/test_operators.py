@@ -7,7 +7,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
-import numpy as np
 import pytest
 
 from lb_lighting import bake, job
@@ -313,14 +312,6 @@ def ask_for_smoke(scene):
     scene.lb_lighting.grid = "smoke"
 
 
-def spoil_a_voxel(scene):
-    path = bpy.data.volumes["fog"].filepath
-    values = scenery.ball()
-    values[3, 3, 3] = np.nan
-    scenery.write_fog(path.replace("fog.vdb", "spoilt.vdb"), values)
-    bpy.data.volumes["fog"].filepath = path.replace("fog.vdb", "spoilt.vdb")
-
-
 def ask_for_no_voxels(scene):
     scene.lb_lighting.resolution = 0
 
@@ -345,7 +336,6 @@ BAD = {
     select_the_sun: "'sun' has neither a volume nor faces; select a volume",
     lose_the_file: "The volume file '//nowhere.vdb' of 'fog' cannot be read",
     ask_for_smoke: "'fog' has no grid 'smoke'; choose one of: density.",
-    spoil_a_voxel: "The grid 'density' has 1 voxels that are negative or not finite; ",
     ask_for_no_voxels: "A resolution of 0 voxels is too low; use 7 or more.",
     ask_for_too_many_voxels: "the largest resolution that fits is ",
     switch_off_the_sun: "The scene has no light; add a lamp",
