@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from lb_lighting.errors import DeviceError
+from lb_lighting.transport import device
 from lb_lighting.transport.solver import solve
 
 
@@ -59,3 +60,16 @@ class Chatter:
 def refused():
     """An error as the worker may raise it."""
     return DeviceError("The device is asleep; wake it.")
+
+
+@dataclass
+class Die:
+    """Run `code` on the first OpenCL device, as its driver might; return the device's label."""
+
+    code: str
+
+    def run(self, _tell, _folder):
+        chosen = device.choose()
+        if chosen.kind != "NumPy":
+            exec(self.code)
+        return chosen.label

@@ -220,7 +220,7 @@ def context(device):
         raise DeviceError(f"The device {device.label} is gone; choose another.")
     try:
         return cl.Context([handles[device]])
-    except cl.Error as error:
+    except Exception as error:  # each driver fails in its own way
         raise DeviceError(
             f"The device {device.label} does not open ({error}); close other programs that use it, "
             "or choose another device."
