@@ -302,11 +302,15 @@ def _key(device, text, options):
 
 
 def upload(queue, values, kind=np.float32):
-    """A buffer that holds values, as numbers of a kind, for kernels to read."""
+    """A buffer that holds values, as numbers of a kind, for kernels to read.
+
+    OpenCL has no empty buffers: without values it holds one that nothing reads.
+    """
     import pyopencl as cl
 
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(queue.context, flags, hostbuf=np.ascontiguousarray(values, kind))
+    held = np.ascontiguousarray(values if np.size(values) else 0, kind)
+    return cl.Buffer(queue.context, flags, hostbuf=held)
 
 
 def zeros(queue, size):
