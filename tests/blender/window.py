@@ -152,14 +152,14 @@ def drawn():
     yield SHOWN
 
 
-def counted(*arguments):
+def counted(panel, context):  # Blender counts the arguments
     """Draw our panel, and count that."""
     counted.draws += 1
-    return counted.draw(*arguments)
+    counted.draw(panel, context)
 
 
 counted.draws, counted.draw = 0, panels.LB_PT_lighting.draw
-panels.LB_PT_lighting.draw = lambda *arguments: counted(*arguments)
+panels.LB_PT_lighting.draw = counted
 
 
 def solving():
@@ -212,7 +212,7 @@ def tab_is_open():
     """Whether the sidebar shows our tab; it has tabs once it has been drawn."""
     try:
         sidebar().active_panel_category = TAB
-    except TypeError:
+    except (AttributeError, TypeError):
         return False
     return sidebar().active_panel_category == TAB
 
