@@ -47,6 +47,16 @@ class Fail:
         raise self.error
 
 
+class ReadAndFail:
+    """Fail as nobody expects, while a grid is held: OpenVDB tells of that when Python ends."""
+
+    def run(self, _tell, _folder):
+        import openvdb
+
+        self.grid = openvdb.FloatGrid()
+        raise ZeroDivisionError("division by zero")
+
+
 class Chatter:
     """Print as drivers do, and return a number."""
 

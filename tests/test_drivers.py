@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,10 @@ compiles = pytest.mark.skipif(
 
 
 @pytest.fixture(autouse=True)
-def nothing_learned(monkeypatch):
+def nothing_learned(tmp_path, monkeypatch):
+    """Of drivers, in this session; logs of those that fail are kept in a folder of the test."""
     monkeypatch.setattr(job, "_learned", {})
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
 
 @pytest.fixture
@@ -77,7 +80,6 @@ def test_a_driver_that_does_not_load_leaves_numpy(driver, processes, how):
     assert why.startswith(f"The OpenCL drivers of this machine {told}; update or remove them,")
     log = Path(why.rsplit(" ", 1)[1].removesuffix("."))
     assert "the driver speaks" in log.read_text()
-    log.unlink()
     assert workers(processes) == 3
     assert solved().report.device == "NumPy (no OpenCL)"  # at once: the driver is not tried again
     assert workers(processes) == 4
