@@ -24,7 +24,8 @@ from .transport.caches import NO_CACHE
 from .transport.device import WITHOUT_OPENCL
 from .worker import GO, LOADED, LOADING, LONGEST_LOAD, RESULT, TASK, remove_scraps
 
-PATIENCE = 600.0  # s of silence, after which the worker is taken to hang
+PATIENCE = 600.0  # s of silence and idleness, after which the worker is taken to hang
+_IDLE = 0.1  # s of processors' time in which it does nothing that counts
 _PACKAGE = Path(__file__).parent
 _END = None  # what the worker's last message is followed by
 # By which somebody else ended it, and not a driver.
@@ -75,7 +76,7 @@ class Job:
 
     def _start(self):
         """Start a process for the task."""
-        self._heard, self._without = time.monotonic(), dict(_learned)
+        self._heard, self._worked, self._without = time.monotonic(), 0.0, dict(_learned)
         self._process = subprocess.Popen(
             # Without the folder that Blender was started in, where anything may lie, and without
             # the user's own packages, which Blender does not use either.
@@ -191,6 +192,11 @@ class Job:
             wait = 0.0
 
     def _take(self, message):
+        if "worked" in message:  # on a busy machine it may be long at a piece of work
+            worked = message["worked"] - self._worked > _IDLE
+            self._heard = time.monotonic() if worked else self._heard
+            self._worked = message["worked"] if worked else self._worked
+            return
         self._heard = time.monotonic()
         if isinstance(message, Exception):
             raise message

@@ -5,8 +5,9 @@
 
 The folder holds a task, any object with a method `run(tell, folder)`, once GO comes on stdin; what
 that returns is kept beside it. It talks on stdout, one JSON object a line: what the task tells,
-such as {"stage", "fraction"}; {"drivers": LOADING or LOADED} around all that loads OpenCL's; and,
-where it cannot, {"error": kind, "text": sentence}, or {"defect": what it died of}, whose traceback
+such as {"stage", "fraction"}; {"drivers": LOADING or LOADED} around all that loads OpenCL's; from
+time to time {"worked": s of processors' time}, for what is silent may be at work; and, where it
+cannot, {"error": kind, "text": sentence}, or {"defect": what it died of}, whose traceback
 is on stderr. A driver that prints to stdout does no harm: the messages go to a copy of it, and the
 rest to stderr. It ends when stdin does, for then whoever waits for it is gone.
 """
@@ -18,6 +19,7 @@ import os
 import sys
 import tempfile
 import threading
+import time
 import traceback
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,17 +31,19 @@ from .transport import device
 TASK, RESULT = "task", "result"
 GO = b"\n"
 LOADING, LOADED = "loading", "loaded"
+BEAT = 1.0  # s between two messages of how much it has worked
 LONGEST_LOAD = 120.0  # s: graphics drivers take some 10 on a machine that has nothing else to do
 _FULL = {getattr(errno, name, None) for name in ("ENOSPC", "EDQUOT", "EFBIG")}
 
 
 def main(folder):
     folder = Path(folder)
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    answers, speaking = os.fdopen(os.dup(1), "w", buffering=1), threading.Lock()
     os.dup2(2, 1)
 
     def tell(**message):
-        print(json.dumps(message), file=answers)
+        with speaking:  # threads do
+            answers.write(json.dumps(message) + "\n")
 
     def refuse(error, text):
         tell(error=error.__name__, text=text)
@@ -52,6 +56,7 @@ def main(folder):
         device.loading = lambda: _loading(tell)
         task = exchange.load(folder / TASK)
         threading.Thread(target=_leave_with_parent, args=(task,), daemon=True).start()
+        threading.Thread(target=_beat, args=(tell,), daemon=True).start()
         result = task.run(tell, folder)
         exchange.save(folder / RESULT, result)
     except LightingError as error:
@@ -70,6 +75,13 @@ def main(folder):
         tell(defect=_summary(error))
         return 1
     return 0
+
+
+def _beat(tell):
+    """Tell from time to time how much was worked."""
+    while True:
+        time.sleep(BEAT)
+        tell(worked=time.process_time())
 
 
 @contextmanager

@@ -37,6 +37,16 @@ class Idle:
         time.sleep(60)
 
 
+class Toil:
+    """Work for some seconds without a word; return how long."""
+
+    def run(self, _tell, _folder):
+        start = time.monotonic()
+        while time.monotonic() < start + 4:
+            sum(range(10_000))
+        return time.monotonic() - start
+
+
 @dataclass
 class Fail:
     """Raise `error`."""

@@ -15,7 +15,7 @@ from lb_lighting import exchange, job
 from lb_lighting.errors import DeviceError, OutputError, SolverError
 from lb_lighting.job import Job
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
-from tests.jobs import Chatter, Fail, Idle, ReadAndFail, Solve, refused
+from tests.jobs import Chatter, Fail, Idle, ReadAndFail, Solve, Toil, refused
 
 SUN = Sun((0.1, 0.2, -1), (3.0, 2.0, 1.0))
 NO_OPENCL = "/nowhere"
@@ -162,6 +162,11 @@ def test_a_process_that_hangs_is_ended(processes, monkeypatch):
     with pytest.raises(SolverError, match=r"^The solver has said nothing for 1 s and was ended; "):
         running.wait(lambda *_progress: processes[0].send_signal(signal.SIGSTOP))
     assert processes[0].poll() is not None
+
+
+def test_a_process_that_works_in_silence_is_not_ended(monkeypatch):
+    monkeypatch.setattr(job, "PATIENCE", 2.5)
+    assert Job(Toil()).wait() >= 4
 
 
 def test_a_defect_in_it_is_one_sentence_with_its_last_words():

@@ -139,8 +139,19 @@ def until(condition):
 
 def progress():
     """What changes while a bake or a preview is under way."""
-    works = running.baking, preview._job
-    return [work and work.status for work in works], running.told[0], running.last
+    works = [work for work in (running.baking, preview._job) if work is not None]
+    told = running.told[0], running.last, preview._survey is None
+    return *told, *((work.status, worked(work._process.pid)) for work in works)
+
+
+def worked(pid):
+    """Whole seconds of its processors' time that a process has taken, or None where it is gone."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    user, system = map(int, state.rsplit(")", 1)[1].split()[11:13])
+    return (user + system) // os.sysconf("SC_CLK_TCK")
 
 
 def drawn():
