@@ -192,17 +192,20 @@ class Job:
             wait = 0.0
 
     def _take(self, message):
-        if "worked" in message:  # on a busy machine it may be long at a piece of work
-            worked = message["worked"] - self._worked > _IDLE
-            self._heard = time.monotonic() if worked else self._heard
-            self._worked = message["worked"] if worked else self._worked
-            return
-        self._heard = time.monotonic()
         if isinstance(message, Exception):
             raise message
+        if "worked" in message:
+            self._take_work(message["worked"])
+            return
+        self._heard = time.monotonic()
         if "error" in message:
             raise getattr(errors, message["error"])(message["text"])
         self.said |= message
+
+    def _take_work(self, seconds):
+        """Hear that the worker has worked: on a busy machine it may be long at one thing."""
+        if seconds > self._worked + _IDLE:
+            self._heard, self._worked = time.monotonic(), seconds
 
     def _wait_on(self):
         """False, as the worker is not done; what is to be done where it was silent for too long."""
