@@ -52,7 +52,6 @@ class Job:
         self.task = task
         self.said = {}
         self._result = None
-        self._begun = time.monotonic()
         try:
             self.folder = tempfile.TemporaryDirectory(
                 prefix="lb_lighting_", ignore_cleanup_errors=True
@@ -65,28 +64,29 @@ class Job:
             ) from error
         self._chatter = os.fdopen(number, "r+b")
         self._written = self._failed = False
+        self._start()
+
+    def _start(self):
+        """Start a process for the task."""
+        self._begun = self._heard = time.monotonic()
+        self._worked, self._without = 0.0, dict(_learned)
         try:
-            self._start()
+            self._process = subprocess.Popen(
+                # Without the folder that Blender was started in, where anything may lie, and
+                # without the user's own packages, which Blender does not use either.
+                [sys.executable, "-P", "-s", "-m", f"{_PACKAGE.name}.worker", self.folder.name],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._chatter,
+                env=_environment() | self._without,
+                text=True,
+            )
         except OSError as error:
             self._discard()
             raise errors.SolverError(
                 f"The solver's process does not start: {sys.executable} cannot be run "
                 f"({error.strerror}); install Blender anew."
             ) from error
-
-    def _start(self):
-        """Start a process for the task."""
-        self._heard, self._worked, self._without = time.monotonic(), 0.0, dict(_learned)
-        self._process = subprocess.Popen(
-            # Without the folder that Blender was started in, where anything may lie, and without
-            # the user's own packages, which Blender does not use either.
-            [sys.executable, "-P", "-s", "-m", f"{_PACKAGE.name}.worker", self.folder.name],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._chatter,
-            env=_environment() | self._without,
-            text=True,
-        )
         self._inbox = queue.SimpleQueue()
         self._feeder = threading.Thread(target=self._feed, daemon=True)
         self._feeder.start()
@@ -209,44 +209,45 @@ class Job:
 
     def _wait_on(self):
         """False, as the worker is not done; what is to be done where it was silent for too long."""
-        loads = self.said.get("drivers") == LOADING
-        silence = time.monotonic() - self._heard
-        if loads and silence > LONGEST_LOAD:
+        drivers, silence = self.said.get("drivers"), time.monotonic() - self._heard
+        if drivers == LOADING and silence > LONGEST_LOAD:
             return self._begin_again(f"were not loaded within {LONGEST_LOAD:.0f} s")
-        if silence > PATIENCE:
-            raise errors.SolverError(
-                f"The solver has said nothing for {PATIENCE:.0f} s and was ended; nothing was "
-                "changed. Choose another device or a lower resolution."
-            )
-        return False
+        if silence <= PATIENCE:
+            return False
+        if drivers == LOADED:
+            return self._begin_again(f"did nothing for {PATIENCE:.0f} s")
+        raise errors.SolverError(
+            f"The solver has said nothing for {PATIENCE:.0f} s and was ended; nothing was "
+            "changed. Choose another device or a lower resolution."
+        )
 
     def _finished(self):
         self._inbox.put(_END)  # for whoever asks again
-        code = self._process.wait()
+        code, drivers = self._process.wait(), self.said.get("drivers")
         if code == 0 and self._path(RESULT).exists():
             self._end()
-            self._close_log(keep=self._failed)
+            self._close_log()
             return True
-        drivers = self.said.get("drivers")
         # A worker that comes to an end of its own says something.
-        if drivers == LOADING or (drivers and "defect" not in self.said and code not in _ASKED):
+        at_work = drivers == LOADED and "defect" not in self.said and code not in _ASKED
+        if at_work and NO_CACHE not in self._without:
+            return self._begin_again()
+        if at_work or drivers == LOADING:
             return self._begin_again(f"ended the solver's process ({_signal_or_code(code)})")
-        sentence = self._obituary(code)
-        self._end()
-        self._close_log(keep=True)
-        raise errors.SolverError(sentence)
+        self._failed = True
+        raise errors.SolverError(self._obituary(code))
 
-    def _begin_again(self, what):
-        """Begin again without what the drivers, which did `what`, may have stumbled over; False,
-        for it is not done."""
+    def _begin_again(self, fault=None):
+        """Begin again without the drivers, which are at fault, or without what they kept on disk,
+        which may be; False, for it is not done."""
         self._end()
-        if self.said["drivers"] == LOADED and NO_CACHE not in self._without:
+        if fault is None:
             _learned[NO_CACHE] = "1"
         else:
             self._failed = True
             log = f" All that they said is in {self.log}." if self._words() else ""
             _learned[WITHOUT_OPENCL] = (
-                f"The OpenCL drivers of this machine {what}; update or remove them, then press "
+                f"The OpenCL drivers of this machine {fault}; update or remove them, then press "
                 f"Find Devices in the add-on's preferences.{log}"
             )
         self.said = {}
@@ -278,13 +279,13 @@ class Job:
         self._feeder.join()
         self._process.stdin.close()
 
-    def _close_log(self, keep=False):
-        """Close the log; delete it unless it is to be kept and says something."""
+    def _close_log(self):
+        """Close the log; delete it unless something failed, and it tells of that."""
         if self._chatter.closed:
             return
         empty = self._chatter.seek(0, os.SEEK_END) == 0
         self._chatter.close()
-        if empty or not keep:
+        if empty or not self._failed:
             Path(self.log).unlink(missing_ok=True)
 
 
