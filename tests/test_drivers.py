@@ -8,6 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
 
@@ -15,6 +16,8 @@ from lb_lighting import cli, job
 from lb_lighting.errors import DeviceError
 from lb_lighting.job import Job
 from lb_lighting.transport import Medium, Settings, Sun, caches, device
+from lb_lighting.ui import preferences, running
+from tests import scenery
 from tests.jobs import Die, Solve
 from tests.tracing import OPENCL, name
 
@@ -110,6 +113,20 @@ def test_devices_are_listed_with_what_keeps_others_away(driver, capsys):
     numpy, trouble = capsys.readouterr().out.splitlines()
     assert numpy.startswith("NumPy (no OpenCL): NumPy, ")
     assert trouble.startswith("The OpenCL drivers of this machine ended the solver's process")
+
+
+@compiles
+def test_a_bake_tells_why_it_was_solved_with_numpy(driver, scene, tmp_path):
+    driver("abort();")
+    scene.lb_lighting.device = ""
+    scenery.select(scenery.add_fog(tmp_path))
+    assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
+    note = next(line for line in running.last if line.startswith("The OpenCL drivers"))
+    assert note.endswith(" Solved with NumPy instead, which is slower.")
+    assert "ended the solver's process (signal 6); update or remove them" in note
+    assert bpy.ops.lb_lighting.find_devices() == {"FINISHED"}
+    assert len(preferences._found) == 1
+    assert preferences._troubles[0].startswith("The OpenCL drivers of this machine ended")
 
 
 @pytest.mark.parametrize("how", ["os.abort()", "os._exit(0)"])
