@@ -186,6 +186,20 @@ def test_a_full_disk_keeps_no_programs(tmp_path, monkeypatch):
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
+def test_a_user_without_a_home_keeps_no_programs(tmp_path, monkeypatch):
+    """As containers have them: nothing is written to where the process happens to be."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    for variable in ("HOME", "XDG_CACHE_HOME", "POCL_CACHE_DIR"):
+        monkeypatch.setenv(variable, "")  # so that what is set now is unset afterwards
+        monkeypatch.delenv(variable)
+    caches.keep("name", b"binary")
+    assert caches.find("name") is None
+    caches.prepare_drivers()
+    assert Path(os.environ["POCL_CACHE_DIR"]).is_absolute()
+    assert [path for path in tmp_path.iterdir() if "lb_lighting_" not in path.name] == []
+
+
 @pytest.mark.parametrize("found", OPENCL, ids=name)
 def test_a_kernel_that_is_wrong_is_told(tmp_path, monkeypatch, found):
     (tmp_path / "wrong.cl").write_text("kernel void wrong() { no; }")

@@ -24,7 +24,7 @@ def prepare_drivers():
     Some drivers (PoCL) are not there at all, or end the process, where they cannot keep what they
     build.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    home = _home()
     pocl = Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl" / "kcache")
     if NO_CACHE in os.environ or not (_takes_files(home) and _takes_files(pocl)):
         folder = tempfile.TemporaryDirectory(prefix="lb_lighting_", ignore_cleanup_errors=True)
@@ -53,6 +53,8 @@ def find(name):
 def keep(name, binary):
     """Keep bytes under a name, if that is possible."""
     path = _path(name)
+    if not path.is_absolute():  # of a user without a home
+        return
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         number, half = tempfile.mkstemp(dir=path.parent)
@@ -65,13 +67,19 @@ def keep(name, binary):
 
 
 def _path(name):
-    import platformdirs  # comes with pyopencl
+    return _home() / "lb_lighting" / "programs" / name
 
-    return platformdirs.user_cache_path("lb_lighting", appauthor=False) / "programs" / name
+
+def _home():
+    """The folder of the user's caches; a relative path where the user has no home."""
+    chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")  # as on Windows
+    return Path(chosen or os.path.expanduser("~/.cache"))
 
 
 def _takes_files(folder):
     """Whether files can be written in a folder, or in the one where it would be made."""
+    if not folder.is_absolute():  # of a user without a home
+        return False
     try:
         there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
         with tempfile.TemporaryFile(dir=there) as file:
