@@ -149,7 +149,8 @@ def _clear(parsed):
 
 
 def _list_devices(_parsed):
-    print(*job.device_lines(), sep="\n")
+    lines, troubles = job.find_devices()
+    print(*lines, *troubles, sep="\n")
 
 
 def _objects(scene, names):

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from lb_lighting.errors import DeviceError
+from lb_lighting.transport import device
 from lb_lighting.transport.solver import solve
 
 
@@ -36,6 +37,14 @@ class Idle:
         time.sleep(60)
 
 
+class Toil:
+    """Work without a word, for some seconds of a processor's time."""
+
+    def run(self, _tell, _folder):
+        while time.process_time() < 2:
+            sum(range(10_000))
+
+
 @dataclass
 class Fail:
     """Raise `error`."""
@@ -44,6 +53,16 @@ class Fail:
 
     def run(self, _tell, _folder):
         raise self.error
+
+
+class ReadAndFail:
+    """Fail as nobody expects, while a grid is held: OpenVDB tells of that when Python ends."""
+
+    def run(self, _tell, _folder):
+        import openvdb
+
+        self.grid = openvdb.FloatGrid()
+        raise ZeroDivisionError("division by zero")
 
 
 class Chatter:
@@ -59,3 +78,16 @@ class Chatter:
 def refused():
     """An error as the worker may raise it."""
     return DeviceError("The device is asleep; wake it.")
+
+
+@dataclass
+class Die:
+    """Run `code` on the first OpenCL device, as its driver might; return the device's label."""
+
+    code: str
+
+    def run(self, _tell, _folder):
+        chosen = device.choose()
+        if chosen.kind != "NumPy":
+            exec(self.code)
+        return chosen.label

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The solver's process: the same light as here, its errors here, and no harm where it dies."""
 
+import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import numpy as np
@@ -13,10 +15,16 @@ from lb_lighting import exchange, job
 from lb_lighting.errors import DeviceError, OutputError, SolverError
 from lb_lighting.job import Job
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
-from tests.jobs import Chatter, Fail, Idle, Solve, refused
+from tests.jobs import Chatter, Fail, Idle, ReadAndFail, Solve, Toil, refused
 
 SUN = Sun((0.1, 0.2, -1), (3.0, 2.0, 1.0))
 NO_OPENCL = "/nowhere"
+
+
+@pytest.fixture(autouse=True)
+def own_temporary_folder(tmp_path, monkeypatch):
+    """Where logs of processes that fail are kept."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
 
 @pytest.fixture
@@ -156,9 +164,71 @@ def test_a_process_that_hangs_is_ended(processes, monkeypatch):
     assert processes[0].poll() is not None
 
 
+def test_a_process_that_works_in_silence_is_heard():
+    """A busy machine may take longer than the patience for one piece of work."""
+    running = Job(Toil())
+    begun = running._heard
+    running.wait()
+    assert running._worked > 0
+    assert running._heard > begun
+    assert running.said == {}
+
+
 def test_a_defect_in_it_is_one_sentence_with_its_last_words():
     with pytest.raises(SolverError, match=r"ended with code 1; .* Its last words: ValueError: no"):
         Job(Fail(ValueError("no"))).wait()
+
+
+def test_a_defect_leaves_its_traceback_in_a_log():
+    """Though OpenVDB may have the last word."""
+    with pytest.raises(SolverError) as caught:
+        Job(ReadAndFail()).wait()
+    sentence = str(caught.value)
+    assert "This is a defect of LB Lighting; please report it. All that it said is in " in sentence
+    last = r" Its last words: ZeroDivisionError: division by zero \(run, line \d+ of jobs\.py\)$"
+    assert re.search(last, sentence)
+    log = job.Path(re.search(r"is in (\S+\.log)\.", sentence)[1])
+    written = log.read_text()
+    assert "Traceback (most recent call last):" in written
+    assert "ZeroDivisionError: division by zero" in written
+
+
+def test_no_log_is_left_where_all_went_well(tmp_path):
+    Job(Chatter()).wait()
+    with pytest.raises(DeviceError):
+        Job(Fail(refused())).wait()
+    Job(Idle()).cancel()
+    assert not list(tmp_path.glob("*.log"))
+
+
+def test_nothing_set_for_another_python_matters(monkeypatch):
+    for name, value in {
+        "PYTHONHOME": "/nowhere",
+        "PYTHONPATH": "/nowhere",
+        "PYTHONPLATLIBDIR": "lib77",
+        "PYTHONWARNINGS": "error",
+        "PYTHONINSPECT": "1",
+        "PYTHONIOENCODING": "utf-16",
+        "PYTHONOPTIMIZE": "2",
+    }.items():
+        monkeypatch.setenv(name, value)
+    assert Job(Chatter()).wait() == 42
+
+
+def test_a_python_that_does_not_run_is_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    sentence = (
+        r"does not start: /nowhere/python cannot be run \(No such file or directory\); install"
+    )
+    with pytest.raises(SolverError, match=sentence):
+        Job(Idle())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_temporary_folder_that_takes_nothing_is_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    with pytest.raises(OutputError, match=r"^No temporary folder can be made \(No such file or"):
+        Job(Idle())
 
 
 def told(running):

@@ -8,5 +8,5 @@ class Devices:
     """List the devices that can solve, the default first."""
 
     def run(self, _tell, _folder):
-        """[str], a line each."""
-        return [found.line for found in device.devices()]
+        """([str], a line for each; [sentence] about those that cannot be used)."""
+        return [found.line for found in device.devices()], device.troubles

@@ -4,6 +4,7 @@
 from dataclasses import dataclass, replace
 
 from ..transport import gather
+from ..transport.device import troubles
 from ..transport.medium import deepest
 from ..transport.planner import Plan
 from .light import Light
@@ -74,7 +75,7 @@ class Estimate:
             *found,
             float(depth.max()),
             deepest(depth),
-            self.light.reader.notes,
+            [*self.light.reader.notes, *troubles],
         )
 
     def _plan(self, problem):

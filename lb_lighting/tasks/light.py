@@ -13,6 +13,7 @@ from ..output.ambient import ambient_grids
 from ..output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
 from ..scene.sources import mixture, occluders, with_shadows
 from ..transport import gather
+from ..transport.device import troubles
 from ..transport.field import Report
 from ..transport.lights import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
@@ -302,8 +303,13 @@ class Light:
             )
         if field.report.device.startswith("NumPy"):
             self.reader.notes.append(
-                "Solved with NumPy; an OpenCL driver for your processor or graphics card is faster."
+                " ".join([*troubles, "Solved with NumPy instead, which is slower."])
+                if troubles
+                else "Solved with NumPy; an OpenCL driver for your processor or graphics card is "
+                "faster."
             )
+        else:
+            self.reader.notes.extend(troubles)
         if times:
             self._gather(problem, field, times, tell)
         return field

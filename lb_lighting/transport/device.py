@@ -5,7 +5,9 @@ pyopencl is imported on demand, so that this module also loads where it is not i
 """
 
 import os
+import uuid
 import warnings
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from math import ceil
@@ -14,6 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DeviceError
+from . import caches
+
+WITHOUT_OPENCL = "LB_LIGHTING_WITHOUT_OPENCL"  # in the environment: a sentence that says why
+
+troubles = []  # sentences about devices that should be there but cannot be used
+loading = nullcontext  # what drivers are loaded in: they can end a process, or never return
 
 _SOURCES = Path(__file__).parent.parent / "kernels"
 _BEST_FIRST = ("GPU", "ACCELERATOR", "CPU")
@@ -75,23 +83,40 @@ def numpy_device():
 @cache
 def _opencl():
     """{Device: pyopencl device}, the fastest kind first; empty where there is no OpenCL."""
+    if WITHOUT_OPENCL in os.environ:
+        troubles.append(os.environ[WITHOUT_OPENCL])
+        return {}
+    with loading():
+        found = dict(_load())
+    return dict(sorted(found.items(), key=lambda item: _BEST_FIRST.index(item[0].kind)))
+
+
+def _load():
+    """Load all drivers; yield (`Device`, pyopencl device) for each that can solve."""
+    caches.prepare_drivers()
+    # Its own caches raise errors where a file is damaged, and wait for locks of ended processes.
+    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
         import pyopencl as cl
-
+    except Exception as error:
+        if getattr(error, "name", None) != "pyopencl":  # it is there, but not whole
+            troubles.append(f"OpenCL cannot be used, for pyopencl does not load ({error}).")
+        return
+    try:
         platforms = cl.get_platforms()
-    except Exception:
-        # No pyopencl, no loader, or no platform: each driver fails in its own way, and all of
-        # them mean that there is nothing to run on.
-        return {}
-    found = {}
+    except cl.Error:  # no driver is installed
+        return
     for platform in platforms:
         try:
             handles = platform.get_devices()
         except cl.Error:  # a platform without devices
             continue
         for handle in handles:
-            found[_describe(platform, handle)] = handle
-    return dict(sorted(found.items(), key=lambda item: _BEST_FIRST.index(item[0].kind)))
+            try:
+                if handle.available and handle.compiler_available:
+                    yield _describe(platform, handle), handle
+            except Exception as error:  # each driver fails in its own way
+                troubles.append(f"A device of {platform.name} cannot be used ({error}).")
 
 
 def _describe(platform, handle):
@@ -119,15 +144,37 @@ def devices():
 def choose(wanted=None):
     """The device that `wanted` names: None, a `Device`, or part of a label, case ignored.
 
-    None takes the first of `devices()`. A name that fits none is a DeviceError that lists them.
+    None takes the first of `devices()` that can be opened. A name that begins like NumPy's loads
+    no driver. A name that fits none is a DeviceError that lists them.
     """
     if isinstance(wanted, Device):
         return wanted
+    if not wanted:
+        return next(device for device in devices() if device.kind == "NumPy" or _opens(device))
+    wanted, fallback = wanted.strip(), numpy_device()
+    if wanted.casefold().startswith("numpy") and _is_called(fallback, wanted):
+        return fallback
     for device in devices():
-        if not wanted or wanted.casefold() in device.label.casefold():
+        if _is_called(device, wanted):
             return device
     known = "; ".join(device.label for device in devices())
-    raise DeviceError(f"There is no device called '{wanted}'; choose one of: {known}.")
+    missing = f"There is no device called '{wanted}'; choose one of: {known}."
+    raise DeviceError(" ".join([*troubles, missing]))
+
+
+def _is_called(device, wanted):
+    return wanted.casefold() in device.label.casefold()
+
+
+def _opens(device):
+    """Whether an OpenCL device can be used; if not, `troubles` says so."""
+    try:
+        context(device)
+    except DeviceError as error:
+        if str(error) not in troubles:
+            troubles.append(str(error))
+        return False
+    return True
 
 
 def require_memory(device, shape, plan):
@@ -165,13 +212,19 @@ def _fits(device, buffers, arrays):
 
 @cache
 def context(device):
-    """The context of an OpenCL device, one a process."""
+    """The context of an OpenCL device, one a process. DeviceError where it does not open."""
     import pyopencl as cl
 
     handles = _opencl()
     if device not in handles:
         raise DeviceError(f"The device {device.label} is gone; choose another.")
-    return cl.Context([handles[device]])
+    try:
+        return cl.Context([handles[device]])
+    except Exception as error:  # each driver fails in its own way
+        raise DeviceError(
+            f"The device {device.label} does not open ({error}); close other programs that use it, "
+            "or choose another device."
+        ) from error
 
 
 @cache
@@ -184,7 +237,7 @@ def queue(device):
 
 @cache
 def program(device, sources, defines):
-    """A built program, kept for the process; pyopencl keeps the binary for later ones.
+    """A built program, kept for the process, and on disk for later ones.
 
     sources  name of a file in kernels/, or names of files to be built as one
     defines  tuple of "NAME" or "NAME=value"
@@ -198,20 +251,66 @@ def program(device, sources, defines):
         with warnings.catch_warnings():
             # Drivers chat about how well they optimized; errors come as exceptions.
             warnings.simplefilter("ignore", cl.CompilerWarning)
-            return cl.Program(context(device), text).build(options)
-    except cl.RuntimeError as error:
+            return _kept(device, text, options) or _built(device, text, options)
+    except cl.Error as error:
         raise DeviceError(
             f"{device.label} cannot build {', '.join(names)}; update its driver or choose another "
             f"device. The driver said: {error}"
         ) from error
 
 
+def _kept(device, text, options):
+    """The program as it was built before, or None."""
+    import pyopencl as cl
+
+    binary = caches.find(_key(device, text, options))
+    if binary is None:
+        return None
+    return _usable(cl.Program(context(device), context(device).devices, [binary]), options)
+
+
+def _built(device, text, options):
+    """The program, built from its text. Raises pyopencl.Error where that is impossible."""
+    import pyopencl as cl
+    from pyopencl.characterize import has_src_build_cache
+
+    built = _usable(cl.Program(context(device), text), options)
+    if built is None:
+        # What a driver kept of this text may be damaged; it has kept nothing of a new one.
+        anew = f"{text}\n__constant int unlike_{uuid.uuid4().hex} = 0;\n"
+        return cl.Program(context(device), anew).build(options)
+    if not has_src_build_cache(context(device).devices[0]):
+        binary = built.get_info(cl.program_info.BINARIES)[0]
+        caches.keep(_key(device, text, options), binary)
+    return built
+
+
+def _usable(program, options):
+    """A program once it is built, or None where it does not build or has no kernels."""
+    import pyopencl as cl
+
+    try:
+        program.build(options)
+        return program if program.all_kernels() else None
+    except cl.Error:
+        return None
+
+
+def _key(device, text, options):
+    handle = context(device).devices[0]
+    return caches.key(device.label, handle.version, handle.driver_version, *options, text)
+
+
 def upload(queue, values, kind=np.float32):
-    """A buffer that holds values, as numbers of a kind, for kernels to read."""
+    """A buffer that holds values, as numbers of a kind, for kernels to read.
+
+    OpenCL has no empty buffers: without values it holds one that nothing reads.
+    """
     import pyopencl as cl
 
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(queue.context, flags, hostbuf=np.ascontiguousarray(values, kind))
+    held = np.ascontiguousarray(values if np.size(values) else 0, kind)
+    return cl.Buffer(queue.context, flags, hostbuf=held)
 
 
 def zeros(queue, size):

@@ -326,7 +326,7 @@ def beside_beams(field, band, numbers, ways, box):
 def _apart(thirds, ways):
     """The lobes (beams, ...) whose third moments along each of the ways add up to those given."""
     count = len(ways)
-    if count == 1:
+    if count <= 1:
         return thirds
     near = np.broadcast_arrays(*(third(np.sum(a * b, axis=0)) for a in ways for b in ways))
     near = np.stack(near, axis=-1).reshape(*near[0].shape, count, count)

@@ -548,6 +548,16 @@ class Emission:
         return Sky(1 / (4 * np.pi)).suns(medium, band, per_edge)
 
 
+def darkness(lights):
+    """The LightError that tells why a medium is dark in some lights."""
+    if any(np.any(getattr(light, "power", 0)) for light in lights):
+        return LightError(
+            "There is no light on what is to be lit: no lamp shines on it; turn or move one, or "
+            "add a sun."
+        )
+    return LightError("There is no light; add a sun, or a world with a colour that is not black.")
+
+
 def multiple(lights, medium, band, base):
     """The number m for which the lights emit in `band` exactly m times what they emit in `base`.
 

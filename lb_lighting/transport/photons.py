@@ -17,12 +17,12 @@ from math import prod
 
 import numpy as np
 
-from ..errors import Cancelled, LightError, MediumError, SettingsError, require_whole
+from ..errors import Cancelled, MediumError, SettingsError, require_whole
 from . import device as devices
 from . import tallies
 from .field import Clock, Field, Handed, PhotonReport
 from .free_path import MOST_STEPS, engine, enter, path_grid, refuse_violations
-from .lights import Emission, multiple
+from .lights import Emission, darkness, multiple
 from .medium import Domain
 from .perlin import PerlinMedium
 
@@ -222,9 +222,7 @@ def _runs(medium, lights, photons, batches, copies, seed):
                 continue
             runs.append(_Run(light, number, band, multiples[number], count, copies, power))
     if not runs:
-        raise LightError(
-            "There is no light; add a sun, or a world with a colour that is not black."
-        )
+        raise darkness(lights)
     return runs
 
 

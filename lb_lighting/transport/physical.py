@@ -19,7 +19,7 @@ from .coarse import coarse, put_together
 from .crop import Box, stream_on
 from .field import Field, Report
 from .levels import Level
-from .lights import BEAMS, Emission, Sky, by_band
+from .lights import BEAMS, Emission, Sky, by_band, darkness
 from .physical_numpy import NumpyLattice, Source
 from .rays import Rays, parts
 from .runs import runs_of, together
@@ -48,9 +48,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel, res
         large = [coarse(light, pieces) for light in lights]
         field = put_together(unscattered, _lit(medium.merged(pieces), large, work, needed), pieces)
     if not np.any(field.report.energy["entered"]):
-        raise LightError(
-            "There is no light; add a sun, or a world with a colour that is not black."
-        )
+        raise darkness(lights)
     # Not before: what is below zero in one voxel balances what is too much in others.
     np.maximum(field.fluence, 0, out=field.fluence)
     field.report.seconds = clock.seconds

@@ -8,7 +8,7 @@ import pyopencl as cl
 
 from .borders import REFLECTED, mirrors
 from .cells import GROUP, MEAN_LENGTH, OPPOSITE, SECOND_MOMENT, WEIGHTS, Cells
-from .device import context, program, queue, upload
+from .device import context, program, queue, upload, zeros
 from .levels import shapes
 from .physical_numpy import CROWDED
 
@@ -208,8 +208,8 @@ class _Occluders:
         grids = [upload(lattice.queue, values) for values in (opaque, albedo)]
         self.arguments = [lattice.depths, *grids, upload(lattice.queue, self.at, np.int32)]
         self.reflected = lattice._buffer(cells.count)
-        self.densities = upload(lattice.queue, np.zeros(cells.count))
-        self.absorbed = upload(lattice.queue, np.zeros(max(1, len(self.at))))
+        self.densities = zeros(lattice.queue, 4 * cells.count)
+        self.absorbed = zeros(lattice.queue, 4 * max(1, len(self.at)))
 
     def start(self, reflected):
         """reflected is that of a `Source`."""

@@ -220,7 +220,7 @@ def _path(handover, pilot, medium):
     """Collisions of a photon till it is handed over, over those of the pilot's."""
     of_one = 1 / (1 - float((medium.albedo * medium.g).max()))
     now, then = (min(1 + depth * of_one, pilot.collisions) for depth in (handover, pilot.traced))
-    return now / then
+    return now / then if then else 1.0  # where nothing collides
 
 
 def _rays(edge):

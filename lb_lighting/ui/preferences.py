@@ -8,6 +8,7 @@ from ..errors import LightingError
 
 PACKAGE = __package__.removesuffix(".lb_lighting.ui")  # the extension, or the plain package's ui
 _found = []  # lines, once they were asked for
+_troubles = []  # sentences about what cannot be used
 
 
 class LB_OT_find_devices(bpy.types.Operator):  # noqa: N801 - Blender's convention
@@ -18,10 +19,12 @@ class LB_OT_find_devices(bpy.types.Operator):  # noqa: N801 - Blender's conventi
 
     def execute(self, _context):
         try:
-            _found[:] = job.device_lines()
+            _found[:], _troubles[:] = job.find_devices()
         except LightingError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        for trouble in _troubles:
+            self.report({"WARNING"}, trouble)
         self.report({"INFO"}, f"The best device is {_found[0]}")
         return {"FINISHED"}
 
@@ -34,7 +37,9 @@ class LB_AP_preferences(bpy.types.AddonPreferences):  # noqa: N801 - Blender's c
         column.operator(LB_OT_find_devices.bl_idname, icon="VIEWZOOM")
         for number, line in enumerate(_found):
             column.label(text=line, icon="NONE" if number else "CHECKMARK")
-        if len(_found) == 1:
+        for trouble in _troubles:
+            column.label(text=trouble, icon="ERROR")
+        if len(_found) == 1 and not _troubles:
             column.label(
                 text="Only NumPy is here: an OpenCL driver for your processor or graphics card "
                 "makes bakes many times faster.",

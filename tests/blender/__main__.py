@@ -46,7 +46,7 @@ def main():
     # The display is for EEVEE, which has to show volumes where Cycles is built without NanoVDB.
     run(*DISPLAY, "blender", "--background", "--gpu-backend", "opengl",
         "--python-exit-code", "1", "--python", "tests/blender/run.py")  # fmt: skip
-    run(*DISPLAY, "timeout", "900", "blender", "--gpu-backend", "opengl",
+    run(*DISPLAY, "blender", "--gpu-backend", "opengl",
         "--python-exit-code", "1", "--python", "tests/blender/window.py")  # fmt: skip
     worker = Path("/proc", WORKER.read_text())
     if worker.exists() and b"lb_lighting.worker" in (worker / "cmdline").read_bytes():
