@@ -102,13 +102,13 @@ def test_add_over_the_scattering_medium_counts_its_light_once(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
-def test_mirrors_see_what_replaces_but_not_what_is_added(tmp_path, mode):
+def test_mirrors_see_what_replaces_and_what_is_added(tmp_path, mode):
     scene = dark_scene((5, 0, 10), (0, 0, 0), width=1)
     mirror = plane(0, 4, surface("ShaderNodeBsdfGlossy", Roughness=0.0, Color=(1, 1, 1, 1)))
     mirror.location.x, mirror.rotation_euler.y = 5, -np.pi / 4
     prepare_scene(scene)
     shade_volume(box(tmp_path / "a.vdb"), mode, SIGMA_S, SIGMA_A)
-    expected = emission_absorption() if mode == "REPLACE" else (0, 0, 0)
+    expected = emission_absorption() if mode == "REPLACE" else SIGMA_S * LIGHT * DEPTH
     picture = render(scene, tmp_path / "a.exr", 16, 4)
     assert middle(picture) == pytest.approx(expected, rel=0.01)
 
