@@ -18,7 +18,7 @@ from . import exchange
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
-from .output import attribute, modifier, shading, volume
+from .output import attribute, modifier, shading, shading_surfaces, volume
 from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
@@ -250,14 +250,14 @@ def apply(context, objects, task, lit, frames=None):
     shown = _show_volume(context, objects, task, lit, frames)
     for ob in surfaces:
         modifier.remove_modifier(ob)
-        shading.light_surface(ob, *how)
+        shading_surfaces.light_surface(ob, *how)
     for number in task.readers:
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
         modifier.light_foliage(ob, shown, task.whole)
-        shading.light_surface(ob, *how)
+        shading_surfaces.light_surface(ob, *how)
         materials = [name and bpy.data.materials.get(name) for name in source.instanced]
-        lit.notes.extend(shading.light_instances(ob, materials, *how))
+        lit.notes.extend(shading_surfaces.light_instances(ob, materials, *how))
     return shown
 
 
@@ -269,7 +269,7 @@ def _takes_sky(objects, sources, lights, notes):
     materials = [slot.material for ob in showing.values() for slot in ob.material_slots]
     names = {name for source in showing if source.is_foliage for name in source.instanced}
     materials += [bpy.data.materials.get(name) for name in names if name]
-    hindrance = shading.hindrance(materials)
+    hindrance = shading_surfaces.hindrance(materials)
     for hinders, reason in (
         (
             not all(isinstance(light, Sky) for light in lights),
@@ -302,13 +302,13 @@ def clear(context, delete_files=False):
     paths = [volume.baked_path(ob) for ob in baked]
     sources = [s for ob in baked for s in volume.sources_of(scene, ob)]
     sources += volume.lost_sources(scene)
-    surfaces = [ob for ob in scene.objects if shading.is_lit(ob)]
+    surfaces = [ob for ob in scene.objects if shading_surfaces.is_lit(ob)]
     count = len({*sources, *surfaces} or baked)
     _release(context, sources, baked)
     for ob in surfaces:
         attribute.remove_ambient(ob)
         modifier.remove_modifier(ob)
-    shading.unwire_unused()
+    shading_surfaces.unwire_unused()
     for ob in baked:
         volume.remove_baked(ob)
     shading.restore_scene(scene)
@@ -321,7 +321,7 @@ def clear(context, delete_files=False):
 
 def is_lit(scene):
     """True where something in the scene shows light of a bake."""
-    return bool(volume.baked_volumes(scene)) or any(map(shading.is_lit, scene.objects))
+    return bool(volume.baked_volumes(scene)) or any(map(shading_surfaces.is_lit, scene.objects))
 
 
 def _release(context, sources, baked):
@@ -358,7 +358,7 @@ def _refuse_unwritable(objects, options):
             raise OutputError(f"'{ob.name}' is linked from another file; make it local.")
     meshes = [ob for ob in objects if ob.type == "MESH"]
     attribute.refuse_unwritable(meshes)
-    shading.refuse_unwritable(meshes)
+    shading_surfaces.refuse_unwritable(meshes)
     volume.require_writable(folder_of(options))
 
 

@@ -16,7 +16,7 @@ from lb_lighting.output.ambient import (
     sample,
 )
 from lb_lighting.output.modifier import GRID_GROUP, has_modifier, light_foliage
-from lb_lighting.output.shading import wire_ambient
+from lb_lighting.output.shading_surfaces import wire_ambient
 from lb_lighting.output.vdb import AXES, write_vdb
 from lb_lighting.output.volume import show_volume
 from lb_lighting.transport.field import Field, Report
