@@ -196,14 +196,15 @@ def gather(context, objects, options, path=None, decided=None):
             options.optical_depth,
             options.grid,
             custom=Optics(options.sigma_s, options.sigma_a, options.g),
-            instances_lit=options.foliage == "MODIFIER",
         )
         sources = open_sources(objects, reader)
         box = _box(context, options.domain) if options.domain else None
+        chosen = options.foliage == "MODIFIER"
+        readers = modifier.readers(objects, sources, depsgraph, chosen, reader.notes)
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
+            if source.shows_light and ob.type == "MESH" and number not in readers
         }
         shining = any(source.shines for source in sources)
         lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
@@ -223,11 +224,7 @@ def gather(context, objects, options, path=None, decided=None):
         lights=lights,
         box=box,
         surfaces=surfaces,
-        readers=[
-            number
-            for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if ob.type == "MESH" and _is_read(source, options)
-        ],
+        readers=readers,
         path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
@@ -283,11 +280,6 @@ def _takes_sky(objects, sources, lights, notes):
             notes.append(f"The sky's own light was not baked, for {reason}; Cycles adds it.")
             return False
     return True
-
-
-def _is_read(source, options):
-    """Whether a modifier is to read the light of a source."""
-    return source.is_foliage and options.foliage == "MODIFIER"
 
 
 def clear(context, delete_files=False):

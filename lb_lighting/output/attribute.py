@@ -13,6 +13,23 @@ def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
     return Vertices(*vertices(ob, depsgraph), is_body, is_wall)
 
 
+def misplaced(ob, depsgraph):
+    """(why, what helps): light on the vertices of the mesh object `ob` would be that of other
+    places; or None."""
+    others = (other for other in depsgraph.scene.objects if other.data == ob.data)
+    if ob.data.users > 1 and any(other != ob and not other.hide_render for other in others):
+        return (
+            "shares its mesh with other objects",
+            "all of them show the mean of their light, until its mesh is made single-user",
+        )
+    if len(ob.evaluated_get(depsgraph).data.vertices) != len(ob.data.vertices):
+        return (
+            "has modifiers that add or remove vertices",
+            "the new ones show the light of those they are made from, until modifiers are applied",
+        )
+    return None
+
+
 def write_ambient(objects, sides, whole=False):
     """Write the light that falls on the mesh `objects`, at every vertex.
 

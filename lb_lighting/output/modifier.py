@@ -10,6 +10,7 @@ that is all light, `lb_whole` is 1 on either.
 """
 
 from ..ours import TAG, is_ours
+from . import attribute
 from .ambient import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,
@@ -24,6 +25,29 @@ from .vdb import AXES
 
 GRID_GROUP = "LB Ambient Grid"
 WHOLE = "All Light"  # its input
+HELP = f"the modifier {GRID_GROUP} looks its light up, as Foliage: Modifier does"
+
+
+def readers(objects, sources, depsgraph, chosen, notes):
+    """[number] of those `sources` of the `objects` that are to get their light by the modifier.
+
+    That is foliage where it is `chosen`, or where light on vertices would be that of other places.
+    The `notes` tell of the latter, and of other surfaces that show such light all the same.
+    """
+    found = []
+    for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
+        if ob.type != "MESH" or not source.shows_light:
+            continue
+        reason, remedy = attribute.misplaced(ob, depsgraph) or (None, None)
+        if source.is_foliage and source.lights_instances:
+            reason = "has instances, each of which shows the light at its origin"
+        if source.is_foliage and (chosen or reason):
+            found.append(number)
+            if not chosen:
+                notes.append(f"'{ob.name}' {reason}; {HELP}.")
+        elif reason:
+            notes.append(f"'{ob.name}' {reason}; {remedy}.")
+    return found
 
 
 def light_foliage(ob, baked, whole=False):
