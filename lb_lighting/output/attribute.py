@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces out: light of the lattice as colour attributes on the points of meshes."""
 
+import bpy
 import numpy as np
 
 from ..errors import OutputError
@@ -16,8 +17,8 @@ def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
 def misplaced(ob, depsgraph):
     """(why, what helps): light on the vertices of the mesh object `ob` would be that of other
     places; or None."""
-    others = (other for other in depsgraph.scene.objects if other.data == ob.data)
-    if ob.data.users > 1 and any(other != ob and not other.hide_render for other in others):
+    others = (other for other in bpy.data.objects if other.data == ob.data and other != ob)
+    if ob.data.users > 1 and any(o.users_scene and not o.hide_render for o in others):
         return (
             "shares its mesh with other objects",
             "all of them show the mean of their light, until its mesh is made single-user",
@@ -28,6 +29,18 @@ def misplaced(ob, depsgraph):
             "the new ones show the light of those they are made from, until modifiers are applied",
         )
     return None
+
+
+def instancers(objects, depsgraph):
+    """{one of `objects`: an object that instances it and is none of them}."""
+    objects, found = set(objects), {}
+    for instance in depsgraph.object_instances:
+        if not instance.is_instance:
+            continue
+        ob, parent = instance.object.original, instance.parent.original
+        if ob in objects and parent not in objects:
+            found[ob] = parent
+    return found
 
 
 def write_ambient(objects, sides, whole=False):

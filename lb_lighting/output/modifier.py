@@ -34,10 +34,15 @@ def readers(objects, sources, depsgraph, chosen, notes):
     That is foliage where it is `chosen`, or where light on vertices would be that of other places.
     The `notes` tell of the latter, and of other surfaces that show such light all the same.
     """
-    found = []
+    found, instancers = [], attribute.instancers(objects, depsgraph)
     for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
         if ob.type != "MESH" or not source.shows_light:
             continue
+        if ob in instancers:
+            notes.append(
+                f"'{instancers[ob].name}' instances '{ob.name}' and shows the light of that; make "
+                "its instances real, and select them, to light them where they are."
+            )
         reason, remedy = attribute.misplaced(ob, depsgraph) or (None, None)
         if source.is_foliage and source.lights_instances:
             reason = "has instances, each of which shows the light at its origin"

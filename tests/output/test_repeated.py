@@ -213,6 +213,21 @@ def test_instances_are_lit_without_being_asked_for(scene):
     assert light.reshape(-1, 4)[:, :3] == pytest.approx(mean, rel=1e-3)
 
 
+@pytest.mark.parametrize("selected", [False, True])
+def test_what_others_instance_is_told_of(scene, selected):
+    """A collection instance; one that is selected says so itself."""
+    ob = scenery.add_leaves(count=20)
+    crown = bpy.data.collections.new("crown")
+    crown.objects.link(ob)
+    empty = scenery.link("copy", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", crown
+    empty.location.z = -3
+    chosen = [ob, empty] if selected else [ob]
+    task = bake.gather(bpy.context, chosen, bake.Options.of(scene))
+    (note,) = about(task.reader.notes, "copy")
+    assert ("leaves" in note) is not selected
+
+
 WITHOUT_US = """
 import os, sys, bpy, numpy as np
 bpy.utils.expose_bundled_modules()
