@@ -65,6 +65,9 @@ def lamp_group():
 def ambient_group():
     """The user's closure and the emission Color x Alpha x light x Strength, where it is `_seen`.
 
+    Rays that a translucent surface scattered find neither: bounces from leaf to leaf are in the
+    light of the lattice, and where there is glass in a scene Cycles has to follow them.
+
     The light is that of the side which is seen, or, where Through is on, of the other side. An
     instance may bring its own, see `modifier`: of the mean of both sides, and how it differs
     along each axis, for surfaces of any direction.
@@ -306,11 +309,26 @@ def _build_ambient(tree):
     mix = add_node(tree, "ShaderNodeMixShader", 50, -100)
     tree.links.new(is_seen, mix.inputs[0])
     tree.links.new(emission.outputs["Emission"], mix.inputs[2])
+    left = _left(tree, shader, seen.outputs["Result"])
     add = add_node(tree, "ShaderNodeAddShader", 250, 0)
-    tree.links.new(shader, add.inputs[0])
+    tree.links.new(left, add.inputs[0])
     tree.links.new(mix.outputs["Shader"], add.inputs[1])
     output = add_node(tree, "NodeGroupOutput", 450, 0)
     tree.links.new(add.outputs["Shader"], output.inputs["Shader"])
+
+
+def _left(tree, shader, alpha):
+    """The socket of what is left of the closure `shader` for the rays that find it.
+
+    Holes, where `alpha` is 0, stay, and no Transparent BSDF is needed, which slows shadows down.
+    """
+    path = add_node(tree, "ShaderNodeLightPath", -550, 400).outputs
+    rays = path["Is Diffuse Ray"], path["Is Transmission Ray"]
+    scattered = add_math(tree, "MULTIPLY", *rays, -350, 400)
+    mix = add_node(tree, "ShaderNodeMixShader", 50, 300)
+    tree.links.new(add_math(tree, "MULTIPLY", scattered, alpha, -150, 400), mix.inputs[0])
+    tree.links.new(shader, mix.inputs[1])
+    return mix.outputs["Shader"]
 
 
 def _build_rest(tree):

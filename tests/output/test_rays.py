@@ -165,3 +165,39 @@ def test_what_is_added_is_seen_through_glass_but_not_by_scattered_rays(tmp_path,
         expected = 0 * LIGHT
     seen = middle(render(scene, tmp_path / "a.exr", 16, 64))
     assert seen == pytest.approx(expected, rel=0.02)
+
+
+def cut_out_leaf():
+    """A surface with holes by a mask."""
+    material = principled(**{"Base Color": (*COLOR, 1), "Specular IOR Level": 0.0})
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    checker = nodes.new("ShaderNodeTexChecker")
+    checker.inputs["Scale"].default_value = 40
+    links.new(checker.outputs["Factor"], nodes["Principled BSDF"].inputs["Alpha"])
+    return material
+
+
+@pytest.mark.parametrize("make", [lambda: surface("ShaderNodeBsdfDiffuse"), cut_out_leaf])
+def test_bounces_from_leaf_to_leaf_are_left_to_the_lattice(tmp_path, make):
+    """A translucent leaf above another that a lamp shines on, over a sky that shines through it.
+
+    Glass in a scene keeps the bounces of transmission on; the picture is as that without them."""
+    scene = dark_scene(*FROM_ABOVE, width=1)
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (*SKY, 1)
+    links.new(background.outputs[0], output.inputs["Surface"])
+    light(plane(1, 20, surface("ShaderNodeBsdfTranslucent", Color=WHITE)))
+    light(plane(0, 20, make()))
+    lamp = bpy.data.lights.new("lamp", "POINT")
+    lamp.energy = 200
+    lamp = bpy.data.objects.new("lamp", lamp)
+    lamp.location.z = 0.5
+    scene.collection.objects.link(lamp)
+    scene.cycles.diffuse_bounces = 0
+    seen = []
+    for bounces in (0, 8):
+        scene.cycles.transmission_bounces = bounces
+        seen.append(middle(render(scene, tmp_path / f"{bounces}.exr", 16, 256)))
+    assert seen[0].min() > 1
+    assert seen[1] == pytest.approx(seen[0], rel=0.01)

@@ -494,12 +494,12 @@ def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
     """And what has the same material, but is not lit, shows the sky's as before."""
     scene, (make, reflectance) = under_sky(width=1), REFLECTANCES[name]
     ob = plane(0, 2, make())
-    before = render(scene, tmp_path / "a.exr", 16, 64)
+    before = render(scene, tmp_path / "a.exr", 16, 256)
     light_plane(ob, LIGHT, whole=True)
     lit = render(scene, tmp_path / "b.exr", 16, 4)
     assert middle(lit) == pytest.approx(2 * reflectance * LIGHT, rel=0.01)
     remove_ambient(ob)
-    after = render(scene, tmp_path / "c.exr", 16, 64)
+    after = render(scene, tmp_path / "c.exr", 16, 256)
     assert middle(after) == pytest.approx(middle(before), rel=1e-3)
     assert middle(before).min() > 0.01
 
