@@ -19,6 +19,7 @@ from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, shading_surfaces, volume
+from .output.ambient import STAND_OFF
 from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
@@ -248,13 +249,15 @@ def apply(context, objects, task, lit, frames=None):
     for ob in surfaces:
         modifier.remove_modifier(ob)
         shading_surfaces.light_surface(ob, *how)
-    for number in task.readers:
+    for number in lit.readers:
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
-        modifier.light_foliage(ob, shown, task.whole)
+        off = STAND_OFF * lit.domain.voxel_size if source.is_wall else 0.0
+        modifier.add_modifier(ob, shown, task.whole, source.is_body, off)
         shading_surfaces.light_surface(ob, *how)
-        materials = [name and bpy.data.materials.get(name) for name in source.instanced]
-        lit.notes.extend(shading_surfaces.light_instances(ob, materials, *how))
+        if source.is_foliage:
+            materials = [name and bpy.data.materials.get(name) for name in source.instanced]
+            lit.notes.extend(shading_surfaces.light_instances(ob, materials, *how))
     return shown
 
 

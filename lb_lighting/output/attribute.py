@@ -15,19 +15,12 @@ def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
 
 
 def misplaced(ob, depsgraph):
-    """(why, what helps): light on the vertices of the mesh object `ob` would be that of other
-    places; or None."""
+    """Why light on the vertices of the mesh object `ob` would be that of other places, or None."""
     others = (other for other in bpy.data.objects if other.data == ob.data and other != ob)
     if ob.data.users > 1 and any(o.users_scene and not o.hide_render for o in others):
-        return (
-            "shares its mesh with other objects",
-            "all of them show the mean of their light, until its mesh is made single-user",
-        )
+        return "shares its mesh with other objects"
     if len(ob.evaluated_get(depsgraph).data.vertices) != len(ob.data.vertices):
-        return (
-            "has modifiers that add or remove vertices",
-            "the new ones show the light of those they are made from, until modifiers are applied",
-        )
+        return "has modifiers that add or remove vertices"
     return None
 
 

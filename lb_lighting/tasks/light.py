@@ -73,6 +73,7 @@ class Lit:
              none was gathered
     times    that it was, or 0
     ambient  {number of the source: what `Vertices.light` returns}
+    readers  [number of the source] of those that a modifier is to light
     notes    sentences that the user should read
     """
 
@@ -84,6 +85,7 @@ class Lit:
     lobes: np.ndarray | None
     times: int
     ambient: dict
+    readers: list
     notes: list
 
 
@@ -175,6 +177,7 @@ class Light:
             None if field.scattered is None else field.scattered.g,
             _times(field),
             ambient,
+            [number for number in self.readers if self.sources[number].shows_light],
             self.reader.notes,
         )
 

@@ -10,9 +10,16 @@ import pytest
 from mathutils import Matrix
 
 from lb_lighting import bake
-from lb_lighting.output.ambient import AMBIENT_ATTRIBUTE, irradiance, sample
+from lb_lighting.output.ambient import (
+    AMBIENT_ATTRIBUTE,
+    BACK_ATTRIBUTE,
+    Vertices,
+    irradiance,
+    sample,
+)
 from lb_lighting.output.attribute import has_ambient
 from lb_lighting.output.modifier import GRID_GROUP, has_modifier
+from lb_lighting.scene.meshes import read_mesh
 from tests import scenery
 from tests.scenery import bake_light, snapshot
 
@@ -27,9 +34,9 @@ def evaluated(ob):
     return ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
 
 
-def shown(ob):
-    """(n, 3): the light of the front on the points of the evaluated mesh."""
-    attribute = evaluated(ob).data.attributes[AMBIENT_ATTRIBUTE]
+def shown(ob, name=AMBIENT_ATTRIBUTE):
+    """(n, 3): the light on the points of the evaluated mesh, of the front or as `name` says."""
+    attribute = evaluated(ob).data.attributes[name]
     values = np.empty(4 * len(attribute.data), np.float32)
     attribute.data.foreach_get("color", values)
     return values.reshape(-1, 4)[:, :3]
@@ -152,19 +159,48 @@ def test_the_vertices_are_used_again_once_they_are_its_own(twins):
 
 
 @pytest.mark.parametrize("role", ["SOLID", "OCCLUDER"])
-def test_of_bodies_and_walls_a_note_tells(scene, role):
-    leaves = scenery.add_leaves(count=10)
-    material = scenery.leaf_material()
-    balls = [
-        scenery.add_ball(name, 0.5, role=role, material=material) for name in ("one", "two", "own")
-    ]
-    balls[1].data = balls[0].data
-    balls[2].modifiers.new("array", "ARRAY")
-    notes = bake_light(leaves, *balls).notes
-    for ball, reason in zip(balls, ("shares", "shares", "modifiers"), strict=True):
-        assert has_ambient(ball)
-        assert sum(reason in note for note in about(notes, ball.name)) == 1
-    assert not about(notes, leaves.name)
+def test_bodies_and_walls_are_lit_where_they_are(scene, role):
+    """Each side as `Vertices` has it: of walls in front of it, of bodies what comes out."""
+    scene.lb_lighting.resolution = 20
+    material = scenery.leaf_material((0.6, 0.5, 0.4))
+    names = "one", "two", "row"
+    one, two, row = (scenery.add_ball(name, 0.5, role, material) for name in names)
+    two.data = one.data
+    two.location, row.location = (0.4, 0, -1.4), (0, 2, 0)
+    array(row)
+    leaves = scenery.add_leaves(count=20)
+    bpy.context.view_layer.update()
+    before = snapshot()
+    outcome = bake_light(one, two, row, leaves)
+    occlusion = outcome.baking.task.problem().medium.occlusion
+    for ob, reason in ((one, "shares"), (two, "shares"), (row, "modifiers")):
+        assert not has_ambient(ob)
+        vertices = Vertices(
+            read_mesh(evaluated(ob).data),
+            np.array(ob.matrix_world),
+            is_body=role == "SOLID",
+            is_wall=role == "OCCLUDER",
+        )
+        sides = vertices.light(outcome.field, occlusion)[..., :3]
+        assert sides.max() > 0.01
+        for name, side in zip((AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), sides, strict=True):
+            assert shown(ob, name) == pytest.approx(side, rel=2e-3, abs=2e-4 * float(sides.max()))
+        assert any(reason in note for note in about(outcome.notes, ob.name))
+    bake.clear(bpy.context)
+    bpy.context.view_layer.update()
+    assert snapshot() == before
+
+
+def test_a_wall_of_large_faces_shows_none(scene):
+    """It cannot carry light on its corners, be they repeated or not."""
+    leaves = scenery.add_leaves(count=20)
+    bpy.ops.mesh.primitive_plane_add(size=4, location=(0, 0, -1.2))
+    ground = bpy.context.object
+    ground.lb_lighting.role = "OCCLUDER"
+    array(ground)
+    notes = bake_light(leaves, ground).notes
+    assert not has_modifier(ground)
+    assert any("shows none of the light" in note for note in about(notes, ground.name))
 
 
 def scattered(leaf):
