@@ -50,11 +50,11 @@ def surface_closures(material):
 
 
 def is_clear(material):
-    """Whether one sees through the material, but for holes."""
+    """Whether one sees through the material, but for holes; also by nodes that are not linked."""
     return any(
         closure.node.type in CLEAR_NODES
         or (is_principled(closure) and may_be_positive(closure, "Transmission Weight"))
-        for closure in surface_closures(material)
+        for closure in _nodes(material.node_tree, ())
     )
 
 
@@ -70,3 +70,12 @@ def _closures(sockets, groups):
             yield Closure(node, 1.0, groups)
         elif node.node_tree and not is_ours(node):
             yield from _closures(group_sockets(node.node_tree), (*groups, node))
+
+
+def _nodes(tree, groups):
+    """All nodes of a tree, or of None, and of the groups in it, each as a `Closure`."""
+    for node in tree.nodes if tree else ():
+        if not node.mute:
+            yield Closure(node, 1.0, groups)
+            if node.type == "GROUP":
+                yield from _nodes(node.node_tree, (*groups, node))

@@ -130,16 +130,21 @@ def switched_off(leaf):
     return material
 
 
-def picture(tmp_path, material):
-    """What a plane with `material` shows of LIGHT on its front and half of it on its back."""
+def picture(tmp_path, material, whole=False):
+    """What a plane with `material` shows of LIGHT on its front and half of it on its back.
+
+    whole  whether that is all light; then there is a white sky, too"""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = dark_scene((0, 0, 10), (0, 0, 0), width=1)
+    if whole:
+        scene.world = bpy.data.worlds.new("sky")
+        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
     ob = plane(0, 2, material())
     values = np.ones((2, 4, 4), np.float32)
     values[..., :3] = LIGHT
     values[1, :, :3] /= 2
-    write_ambient([ob], values[None])
-    wire_ambient(ob.active_material)
+    write_ambient([ob], values[None], whole)
+    wire_ambient(ob.active_material, whole=whole)
     return render(scene, tmp_path / "a.exr", 48, 16)
 
 
@@ -154,6 +159,12 @@ def test_a_group_looks_as_its_closures_do(tmp_path, leaf):
     for way in WAYS:
         shown = picture(tmp_path, lambda way=way: way(leaf))
         assert shown == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_where_a_group_shows_all_light_it_shows_none_of_the_skys_again(tmp_path, way):
+    expected = picture(tmp_path, lambda: direct(mixed_leaf))
+    assert picture(tmp_path, lambda: way(mixed_leaf), whole=True) == pytest.approx(expected)
 
 
 def test_holes_in_a_leaf_of_a_group_stay_holes(tmp_path):
