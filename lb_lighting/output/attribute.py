@@ -18,9 +18,9 @@ def misplaced(ob, depsgraph):
     """Why light on the vertices of the mesh object `ob` would be that of other places, or None."""
     others = (other for other in bpy.data.objects if other.data == ob.data and other != ob)
     if ob.data.users > 1 and any(o.users_scene and not o.hide_render for o in others):
-        return "shares its mesh with other objects"
+        return "the mesh is shared with other objects"
     if len(ob.evaluated_get(depsgraph).data.vertices) != len(ob.data.vertices):
-        return "has modifiers that add or remove vertices"
+        return "modifiers add or remove vertices"
     return None
 
 

@@ -28,7 +28,7 @@ from .vdb import AXES
 GRID_GROUP = "LB Ambient Grid"
 WALL_GROUP = "LB Ambient Grid of Walls"
 WHOLE, BODY, STAND_OFF = "All Light", "Filled", "Stand Off"  # inputs
-HELP = f"the modifier {GRID_GROUP} looks its light up where it is"
+NAMED = 5  # objects in a note; of more it says how many
 
 
 def readers(objects, sources, depsgraph, chosen, notes):
@@ -37,7 +37,7 @@ def readers(objects, sources, depsgraph, chosen, notes):
     That is foliage where it is `chosen`, and any surface where light on vertices would be that of
     other places, of which the `notes` tell.
     """
-    found, instancers = [], attribute.instancers(objects, depsgraph)
+    found, misplaced, instancers = [], {}, attribute.instancers(objects, depsgraph)
     for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
         if ob.type != "MESH" or not source.shows_light:
             continue
@@ -48,13 +48,23 @@ def readers(objects, sources, depsgraph, chosen, notes):
             )
         reason = attribute.misplaced(ob, depsgraph)
         if source.lights_instances:
-            reason = "has instances, each of which shows the light at its origin"
+            reason = "geometry nodes make instances, each of which has the light at its origin"
         is_chosen = chosen and source.is_foliage
         if is_chosen or reason:
             found.append(number)
         if reason and not is_chosen:
-            notes.append(f"'{ob.name}' {reason}; {HELP}.")
+            misplaced.setdefault(reason, []).append(ob.name)
+    notes.extend(
+        f"{_listed(names)}: {reason}. The modifier {GRID_GROUP} looks the light up there."
+        for reason, names in misplaced.items()
+    )
     return found
+
+
+def _listed(names):
+    """Some of `names`, and how many more there are."""
+    listed = ", ".join(f"'{name}'" for name in names[:NAMED])
+    return listed if len(names) <= NAMED else f"{listed} and {len(names) - NAMED} more"
 
 
 def add_modifier(ob, baked, whole=False, is_body=False, stand_off=0.0):

@@ -137,7 +137,7 @@ def test_each_of_those_that_share_a_mesh_has_its_own_light(twins):
     for twin in twins:
         assert is_right(twin, outcome.field)
         (note,) = about(outcome.notes, twin.name)
-        assert "shares its mesh" in note
+        assert "mesh is shared" in note
     means = [shown(twin).mean() for twin in twins]
     assert max(means) > 1.1 * min(means)
 
@@ -173,7 +173,7 @@ def test_bodies_and_walls_are_lit_where_they_are(scene, role):
     before = snapshot()
     outcome = bake_light(one, two, row, leaves)
     occlusion = outcome.baking.task.problem().medium.occlusion
-    for ob, reason in ((one, "shares"), (two, "shares"), (row, "modifiers")):
+    for ob, reason in ((one, "shared"), (two, "shared"), (row, "modifiers")):
         assert not has_ambient(ob)
         vertices = Vertices(
             read_mesh(evaluated(ob).data),
@@ -247,6 +247,15 @@ def test_instances_are_lit_without_being_asked_for(scene):
     mean = sample(outcome.field.domain, outcome.field.fluence, points) / (4 * np.pi)
     assert mean.max() > 0
     assert light.reshape(-1, 4)[:, :3] == pytest.approx(mean, rel=1e-3)
+
+
+def test_a_note_names_some_of_many(scene):
+    scene.lb_lighting.resolution = 8
+    first = scenery.add_leaves("tree", count=20)
+    trees = [first, *(scenery.link(f"tree {number}", first.data) for number in range(9))]
+    task = bake.gather(bpy.context, trees, bake.Options.of(scene))
+    (note,) = about(task.reader.notes, "tree")
+    assert note.startswith("'tree', 'tree 0', 'tree 1', 'tree 2', 'tree 3' and 5 more: the mesh")
 
 
 @pytest.mark.parametrize("selected", [False, True])
