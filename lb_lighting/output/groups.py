@@ -63,7 +63,8 @@ def lamp_group():
 
 
 def ambient_group():
-    """The user's closure and the emission Color x Alpha x light x Strength, where it is `_seen`.
+    """The user's closure and the emission Color x Alpha x (1 - Metallic) x light x Strength, where
+    it is `_seen`; what a metal shows, Cycles' own glossy rays find.
 
     Rays that a translucent surface scattered find neither: bounces from leaf to leaf are in the
     light of the lattice, and where there is glass in a scene Cycles has to follow them.
@@ -285,12 +286,14 @@ def _build_ambient(tree):
     add_input(tree, "Strength", "Float", strength, 1.0, ANY)
     through = "On: the closure is translucent, and shows the light of the side that is not seen"
     add_input(tree, "Through", "Bool", through, False)
+    metallic = "Share of the closure that mirrors, and shows what Cycles finds in it"
+    add_input(tree, "Metallic", "Float", metallic, 0.0, (0, 1))
     group = add_node(tree, "NodeGroupInput", -1000, 100)
     front = add_attribute(tree, AMBIENT_ATTRIBUTE, -800, -100).outputs["Vector"]
     back = add_attribute(tree, BACK_ATTRIBUTE, -800, -300).outputs["Vector"]
     surface = add_node(tree, "ShaderNodeNewGeometry", -1000, -100)
     is_seen = _seen(tree, -1000, -500)
-    shader, color, alpha, strength, through = group.outputs[:5]
+    shader, color, alpha, strength, through, metallic = group.outputs[:6]
 
     is_front = add_math(tree, "COMPARE", surface.outputs["Backfacing"], through, -800, 100)
     light = add_mix(tree, is_front, back, front, -550, 0)
@@ -303,7 +306,10 @@ def _build_ambient(tree):
     tree.links.new(shown, emission.inputs["Color"])
     seen = add_node(tree, "ShaderNodeClamp", -550, -200)  # as the Principled BSDF clamps its alpha
     tree.links.new(alpha, seen.inputs["Value"])
+    dull = add_math(tree, "SUBTRACT", 1.0, metallic, -550, -400)
+    dull = add_math(tree, "MAXIMUM", dull, 0.0, -350, -400)
     factor = add_math(tree, "MULTIPLY", seen.outputs["Result"], strength, -350, -200)
+    factor = add_math(tree, "MULTIPLY", factor, dull, -250, -300)
     tree.links.new(factor, emission.inputs["Strength"])
     # Cycles leaves out what has no weight in a mix: other rays need not find the light.
     mix = add_node(tree, "ShaderNodeMixShader", 50, -100)

@@ -27,7 +27,7 @@ from .nodes import new_material
 
 # What each diffuse closure gives to the inputs of `LB Ambient`.
 AMBIENT_INPUTS = {
-    "BSDF_PRINCIPLED": {"Color": "Base Color", "Alpha": "Alpha"},
+    "BSDF_PRINCIPLED": {"Color": "Base Color", "Alpha": "Alpha", "Metallic": "Metallic"},
     "BSDF_DIFFUSE": {"Color": "Color"},
     "BSDF_TRANSLUCENT": {"Color": "Color"},
     "SUBSURFACE_SCATTERING": {"Color": "Color"},

@@ -201,3 +201,20 @@ def test_bounces_from_leaf_to_leaf_are_left_to_the_lattice(tmp_path, make):
         seen.append(middle(render(scene, tmp_path / f"{bounces}.exr", 16, 256)))
     assert seen[0].min() > 1
     assert seen[1] == pytest.approx(seen[0], rel=0.01)
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_metal_shows_what_it_mirrors_and_no_light_of_its_own(tmp_path, linked):
+    """A plane that is metal to 3/4, and mirrors a leaf above the eye."""
+    scene = dark_scene((0, 0, 1), (0, 0, 0), width=1)
+    leaf(2)
+    material = principled(**{"Base Color": (*COLOR, 1), "Metallic": 0.75, "Roughness": 0.0})
+    shader = material.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Specular IOR Level"].default_value = 0
+    if linked:
+        value = material.node_tree.nodes.new("ShaderNodeValue")
+        value.outputs[0].default_value = 0.75
+        material.node_tree.links.new(value.outputs[0], shader.inputs["Metallic"])
+    light(plane(0, 4, material))
+    seen = middle(render(scene, tmp_path / "a.exr", 16, 256))
+    assert seen == pytest.approx(0.25 * SEEN + 0.75 * COLOR * SEEN, rel=0.02)
