@@ -133,6 +133,7 @@ def twins(scene):
 
 
 def test_each_of_those_that_share_a_mesh_has_its_own_light(twins):
+    before = snapshot()
     outcome = bake_light(*twins)
     for twin in twins:
         assert is_right(twin, outcome.field)
@@ -140,6 +141,8 @@ def test_each_of_those_that_share_a_mesh_has_its_own_light(twins):
         assert "mesh is shared" in note
     means = [shown(twin).mean() for twin in twins]
     assert max(means) > 1.1 * min(means)
+    bake.clear(bpy.context)
+    assert snapshot() == before
 
 
 def test_one_that_is_not_rendered_is_no_sharer(twins):
