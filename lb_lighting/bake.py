@@ -200,8 +200,10 @@ def gather(context, objects, options, path=None, decided=None):
         )
         sources = open_sources(objects, reader)
         box = _box(context, options.domain) if options.domain else None
-        chosen = options.foliage == "MODIFIER"
-        readers = modifier.readers(objects, sources, depsgraph, chosen, reader.notes)
+        readers = decided.readers
+        if readers is None:
+            chosen = options.foliage == "MODIFIER"
+            readers = modifier.readers(objects, sources, depsgraph, chosen, reader.notes)
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))

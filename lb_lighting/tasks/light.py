@@ -38,11 +38,13 @@ class Decided:
     settings  `Settings` that it is solved by
     times     that light is gathered
     whole     whether surfaces show all light, unscattered light, too
+    readers   [number of the source] of those that a modifier is to light
     """
 
     settings: Settings | None = None
     times: int | None = None
     whole: bool | None = None
+    readers: list | None = None
 
 
 @dataclass

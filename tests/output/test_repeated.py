@@ -20,6 +20,7 @@ from lb_lighting.output.ambient import (
 from lb_lighting.output.attribute import has_ambient
 from lb_lighting.output.modifier import GRID_GROUP, has_modifier
 from lb_lighting.scene.meshes import read_mesh
+from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.scenery import bake_light, snapshot
 
@@ -274,6 +275,21 @@ def test_what_others_instance_is_told_of(scene, selected):
     task = bake.gather(bpy.context, chosen, bake.Options.of(scene))
     (note,) = about(task.reader.notes, "copy")
     assert ("leaves" in note) is not selected
+
+
+def test_all_frames_of_a_plant_that_grows_have_its_light(scene, tmp_path):
+    """Grown up, it has all vertices of the original, and could hold it."""
+    ob = scenery.add_leaves(count=30)
+    build = ob.modifiers.new("build", "BUILD")
+    build.frame_start, build.frame_duration = 1, 2
+    options = bake.Options.of(scene, folder=str(tmp_path))
+    outcome = bake.run(Sequence(bpy.context, [ob], options, 2, 3), bpy.context)
+    assert len(about(outcome.notes, ob.name)) == 1
+    assert has_modifier(ob)
+    for frame in (2, 3):
+        scene.frame_set(frame)
+        assert shown(ob).max() > 0
+    assert len(shown(ob)) == len(ob.data.vertices)
 
 
 WITHOUT_US = """
