@@ -74,11 +74,6 @@ def array(ob):
     modifier.constant_offset_displace = (0, 0, -1)
 
 
-def screw(ob):
-    modifier = ob.modifiers.new("screw", "SCREW")
-    modifier.steps = modifier.render_steps = 3
-
-
 def solidify(ob):
     ob.modifiers.new("solidify", "SOLIDIFY").thickness = 0.3
 
@@ -88,12 +83,7 @@ def bent_and_subdivided(ob):
     ob.modifiers.new("subdivide", "SUBSURF").levels = 1
 
 
-def masked(ob):
-    ob.vertex_groups.new(name="some").add(range(30), 1, "ADD")
-    ob.modifiers.new("mask", "MASK").vertex_group = "some"
-
-
-REPEATS = [mirror, array, screw, solidify, bent_and_subdivided, masked]
+REPEATS = [mirror, array, solidify, bent_and_subdivided]
 
 
 @pytest.mark.parametrize("repeat", REPEATS)
