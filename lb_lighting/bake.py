@@ -19,7 +19,8 @@ from .clearing import clear, release
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
-from .output import attribute, modifier, shading, volume
+from .output import attribute, modifier, shading, shading_surfaces, volume
+from .output.ambient import STAND_OFF
 from .scene.lights import scene_lights
 from .scene.resample import box_bounds
 from .scene.sources import Reader, open_sources
@@ -205,16 +206,19 @@ def gather(context, objects, options, path=None, decided=None, require=None):
             options.optical_depth,
             options.grid,
             custom=Optics(options.sigma_s, options.sigma_a, options.g),
-            instances_lit=options.foliage == "MODIFIER",
         )
         sources = open_sources(objects, reader, require)
         lit = {source.uid for source in sources}
         objects = [ob for ob in objects if ob.session_uid in lit]
         box = _box(context, options.domain) if options.domain else None
+        readers = decided.readers
+        if readers is None:
+            chosen = options.foliage == "MODIFIER"
+            readers = modifier.readers(objects, sources, depsgraph, chosen, reader.notes)
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
+            if source.shows_light and ob.type == "MESH" and number not in readers
         }
         shining = any(source.shines for source in sources)
         lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
@@ -234,11 +238,7 @@ def gather(context, objects, options, path=None, decided=None, require=None):
         lights=lights,
         box=box,
         surfaces=surfaces,
-        readers=[
-            number
-            for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if ob.type == "MESH" and _is_read(source, options)
-        ],
+        readers=readers,
         path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
@@ -262,16 +262,16 @@ def apply(context, objects, task, lit, frames=None):
     shown = _show_volume(context, objects, task, lit, frames)
     for ob in surfaces:
         modifier.remove_modifier(ob)
-        shading.light_surface(ob, *how)
-    for number in task.readers:
-        if number in lit.left_out:
-            continue
+        shading_surfaces.light_surface(ob, *how)
+    for number in lit.readers:
         ob, source = objects[number], task.sources[number]
         attribute.remove_ambient(ob)
-        modifier.light_foliage(ob, shown, task.whole)
-        shading.light_surface(ob, *how)
-        materials = [name and bpy.data.materials.get(name) for name in source.instanced]
-        lit.notes.extend(shading.light_instances(ob, materials, *how))
+        off = STAND_OFF * lit.domain.voxel_size if source.is_wall else 0.0
+        modifier.add_modifier(ob, shown, task.whole, source.is_body, off)
+        shading_surfaces.light_surface(ob, *how)
+        if source.is_foliage:
+            materials = [name and bpy.data.materials.get(name) for name in source.instanced]
+            lit.notes.extend(shading_surfaces.light_instances(ob, materials, *how))
     return shown
 
 
@@ -283,7 +283,7 @@ def _takes_sky(objects, sources, lights, notes):
     materials = [slot.material for ob in showing.values() for slot in ob.material_slots]
     names = {name for source in showing if source.is_foliage for name in source.instanced}
     materials += [bpy.data.materials.get(name) for name in names if name]
-    hindrance = shading.hindrance(materials)
+    hindrance = shading_surfaces.hindrance(materials)
     for hinders, reason in (
         (
             not all(isinstance(light, Sky) for light in lights),
@@ -299,14 +299,9 @@ def _takes_sky(objects, sources, lights, notes):
     return True
 
 
-def _is_read(source, options):
-    """Whether a modifier is to read the light of a source."""
-    return source.is_foliage and options.foliage == "MODIFIER"
-
-
 def is_lit(scene):
     """True where something in the scene shows light of a bake."""
-    return bool(volume.baked_volumes(scene)) or any(map(shading.is_lit, scene.objects))
+    return bool(volume.baked_volumes(scene)) or any(map(shading_surfaces.is_lit, scene.objects))
 
 
 def sources_of(scene, objects):
@@ -326,7 +321,7 @@ def _refuse_unwritable(ob):
         raise OutputError(f"'{ob.name}' is linked from another file; make it local.")
     if ob.type == "MESH":
         attribute.refuse_unwritable([ob])
-        shading.refuse_unwritable([ob])
+        shading_surfaces.refuse_unwritable([ob])
 
 
 @contextmanager

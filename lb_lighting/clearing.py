@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from .errors import OutputError
-from .output import attribute, modifier, shading, volume
+from .output import attribute, modifier, shading, shading_surfaces, volume
 from .ties import mend
 
 
@@ -60,7 +60,7 @@ def clear(context):
     unseen = [ob[volume.RESULT] for ob in lost if ob[volume.RESULT]]
     unseen = [ob for ob in dict.fromkeys(unseen) if not ob.users_scene]
     sources = [s for ob in baked for s in volume.sources_of(scene, ob)] + lost
-    surfaces = [ob for ob in scene.objects if shading.is_lit(ob)]
+    surfaces = [ob for ob in scene.objects if shading_surfaces.is_lit(ob)]
     files = [
         (volume.baked_path(ob), ob.data.is_sequence, volume.is_foreign(ob)) for ob in baked + unseen
     ]
@@ -69,7 +69,7 @@ def clear(context):
     for ob in surfaces:
         attribute.remove_ambient(ob)
         modifier.remove_modifier(ob)
-    shading.unwire_unused()
+    shading_surfaces.unwire_unused()
     for ob in baked:
         volume.remove_baked(ob)
     volume.remove_unused(unseen)

@@ -100,7 +100,8 @@ class Sequence:
         lit, settings = outcome.lit, self.decided.settings
         if lit.plan:  # one plan for all: what differed from frame to frame would flicker
             settings = lit.plan.settings
-        self.decided = Decided(settings, lit.times, self.baking.task.whole)
+        task = self.baking.task
+        self.decided = Decided(settings, lit.times, task.whole, task.readers)
         self.missing.pop(0)
         if self.missing:
             self._start_next(context, self.baking.found())

@@ -346,7 +346,7 @@ class TestSky:
         assert np.array_equal(ambient(leaves), light)
         assert "lb_whole" in leaves.data.attributes
 
-    @pytest.mark.parametrize("hinders", ["sun", "solid", "metal", "group"])
+    @pytest.mark.parametrize("hinders", ["sun", "solid", "metal", "metal in a group"])
     def test_where_it_cannot_be_cycles_keeps_it_and_the_user_is_told(self, leaves, hinders):
         objects = [leaves]
         if hinders == "sun":
@@ -361,8 +361,9 @@ class TestSky:
             tree = bpy.data.node_groups.new("user", "ShaderNodeTree")
             tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
             closure, output = (
-                tree.nodes.new(k) for k in ("ShaderNodeBsdfDiffuse", "NodeGroupOutput")
+                tree.nodes.new(k) for k in ("ShaderNodeBsdfPrincipled", "NodeGroupOutput")
             )
+            closure.inputs["Metallic"].default_value = 1
             tree.links.new(closure.outputs[0], output.inputs[0])
             nodes, links = (
                 leaves.active_material.node_tree.nodes,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces out: light of the lattice as colour attributes on the points of meshes."""
 
+import bpy
 import numpy as np
 
 from ..errors import OutputError
@@ -11,6 +12,28 @@ from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE, Vertice
 def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
     """The `Vertices` of the mesh object `ob`, at the current frame."""
     return Vertices(*vertices(ob, depsgraph), is_body, is_wall)
+
+
+def misplaced(ob, depsgraph):
+    """Why light on the vertices of the mesh object `ob` would be that of other places, or None."""
+    others = (other for other in bpy.data.objects if other.data == ob.data and other != ob)
+    if ob.data.users > 1 and any(o.users_scene and not o.hide_render for o in others):
+        return "the mesh is shared with other objects"
+    if len(ob.evaluated_get(depsgraph).data.vertices) != len(ob.data.vertices):
+        return "modifiers add or remove vertices"
+    return None
+
+
+def instancers(objects, depsgraph):
+    """{one of `objects`: an object that instances it and is none of them}."""
+    objects, found = set(objects), {}
+    for instance in depsgraph.object_instances:
+        if not instance.is_instance:
+            continue
+        ob, parent = instance.object.original, instance.parent.original
+        if ob in objects and parent not in objects:
+            found[ob] = parent
+    return found
 
 
 def write_ambient(objects, sides, whole=False):

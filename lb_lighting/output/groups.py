@@ -13,7 +13,7 @@ VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"
 MOMENTS_GROUP = "LB Moments"
 LAMP_GROUP = "LB Lamp"
-MADE, VERSION = "lb_lighting_version", 5  # of the groups, raised where one of them changes
+MADE, VERSION = "lb_lighting_version", 6  # of the groups, raised where one of them changes
 AMBIENT_GROUP = "LB Ambient"
 REST_GROUP = "LB Rest"
 
@@ -27,7 +27,8 @@ def volume_group():
 
     Replace on:  absorption (sigma_s + sigma_a) density, emission sigma_s density (light + Direct),
                  and what the medium shines with by itself
-    Replace off: the same emission but for the last, for camera rays alone, and no absorption
+    Replace off: the same emission but for the last, for rays that the eye sees by (`_seen`) alone,
+                 and no absorption
 
     The light is scattered towards the eye as if it came from all sides by the law of Henyey and
     Greenstein with the mean cosine that its net flux tells. Scattering keeps that law and
@@ -62,7 +63,11 @@ def lamp_group():
 
 
 def ambient_group():
-    """The user's closure and, for camera rays, the emission Color x Alpha x light x Strength.
+    """The user's closure and the emission Color x Alpha x (1 - Metallic) x light x Strength, where
+    it is `_seen`; what a metal shows, Cycles' own glossy rays find.
+
+    Rays that a translucent surface scattered find neither: bounces from leaf to leaf are in the
+    light of the lattice, and where there is glass in a scene Cycles has to follow them.
 
     The light is that of the side which is seen, or, where Through is on, of the other side. An
     instance may bring its own, see `modifier`: of the mean of both sides, and how it differs
@@ -74,7 +79,7 @@ def ambient_group():
 def rest_group():
     """What of a colour is left for the closure itself, where `LB Ambient` shows all light.
 
-    None for camera rays where `lb_whole` is 1 and there is ambient light, all elsewhere.
+    None where it is `_seen`, `lb_whole` is 1 and there is ambient light, all elsewhere.
     """
     return our_group(REST_GROUP, _build_rest)
 
@@ -97,6 +102,23 @@ def our_group(name, build, kind="ShaderNodeTree"):
     return tree
 
 
+def _seen(tree, x, y):
+    """A socket that is 1 for the rays that the eye sees by, and 0 for all others.
+
+    It sees by rays of the camera, and by what mirrors and clear surfaces, sharp or rough, make of
+    them. Rays that a diffuse surface or a volume scattered on their way do not count, since the
+    lattice has that light already: these are the bounces that Ray Depth counts besides those of
+    gloss and of transmission. What a translucent surface sends on is a diffuse ray; if it meets a
+    mirror afterwards, Cycles can no longer tell it from one that came through glass.
+    """
+    path = add_node(tree, "ShaderNodeLightPath", x, y).outputs
+    straight = add_math(tree, "MAXIMUM", path["Is Camera Ray"], path["Is Glossy Ray"], x + 200, y)
+    bounces = add_math(tree, "SUBTRACT", path["Ray Depth"], path["Glossy Depth"], x + 200, y - 200)
+    bounces = add_math(tree, "SUBTRACT", bounces, path["Transmission Depth"], x + 400, y - 200)
+    unscattered = add_math(tree, "LESS_THAN", bounces, 0.5, x + 600, y - 200)
+    return add_math(tree, "MULTIPLY", straight, unscattered, x + 800, y)
+
+
 def _build_volume(tree):
     add_output(tree, "Volume", "Shader", "Connect to the output's Volume")
     strength = "Factor on the light; 1 is as bright as the lamps make it"
@@ -106,7 +128,8 @@ def _build_volume(tree):
     absorption = "Absorption at density 1 of red, green and blue, in 1/m"
     add_input(tree, "Sigma A", "Vector", absorption, (0, 0, 0), ANY)
     replace = (
-        "On: show the medium and all its light. Off: add light, for camera rays, over the source"
+        "On: show the medium and all its light. Off: add light over the source, "
+        "as the camera sees it"
     )
     add_input(tree, "Replace", "Bool", replace, True)
     direct = "Light of lamps that is scattered towards the eye once, from LB Beam, in W/(m2 sr)"
@@ -115,14 +138,14 @@ def _build_volume(tree):
     group = add_node(tree, "NodeGroupInput", -800, 0)
     density = add_attribute(tree, DENSITY_GRID, -800, 300)
     light = add_attribute(tree, LIGHT_GRID, -1200, -200).outputs["Vector"]
-    camera = add_node(tree, "ShaderNodeLightPath", -800, -400).outputs["Is Camera Ray"]
+    seen = _seen(tree, -1800, -800)
     strength, sigma_s, sigma_a, replace, direct, g = group.outputs[:6]
 
     sigma_t = add_vector(tree, "ADD", sigma_s, sigma_a, -600, 200)
     matter = add_math(tree, "MULTIPLY", density.outputs["Factor"], replace, -600, 400)
     absorption = add_vector(tree, "SCALE", sigma_t, matter, -200, 200)
 
-    visible = add_math(tree, "MAXIMUM", camera, replace, -600, -400)
+    visible = add_math(tree, "MAXIMUM", seen, replace, -600, -400)
     glow = add_math(tree, "MULTIPLY", density.outputs["Factor"], strength, -600, 0)
     beam = add_node(tree, "ShaderNodeGroup", -600, -200)
     beam.node_tree = beam_group()
@@ -263,12 +286,14 @@ def _build_ambient(tree):
     add_input(tree, "Strength", "Float", strength, 1.0, ANY)
     through = "On: the closure is translucent, and shows the light of the side that is not seen"
     add_input(tree, "Through", "Bool", through, False)
+    metallic = "Share of the closure that mirrors, and shows what Cycles finds in it"
+    add_input(tree, "Metallic", "Float", metallic, 0.0, (0, 1))
     group = add_node(tree, "NodeGroupInput", -1000, 100)
     front = add_attribute(tree, AMBIENT_ATTRIBUTE, -800, -100).outputs["Vector"]
     back = add_attribute(tree, BACK_ATTRIBUTE, -800, -300).outputs["Vector"]
     surface = add_node(tree, "ShaderNodeNewGeometry", -1000, -100)
-    camera = add_node(tree, "ShaderNodeLightPath", -800, -500).outputs["Is Camera Ray"]
-    shader, color, alpha, strength, through = group.outputs[:5]
+    is_seen = _seen(tree, -1000, -500)
+    shader, color, alpha, strength, through, metallic = group.outputs[:6]
 
     is_front = add_math(tree, "COMPARE", surface.outputs["Backfacing"], through, -800, 100)
     light = add_mix(tree, is_front, back, front, -550, 0)
@@ -281,17 +306,35 @@ def _build_ambient(tree):
     tree.links.new(shown, emission.inputs["Color"])
     seen = add_node(tree, "ShaderNodeClamp", -550, -200)  # as the Principled BSDF clamps its alpha
     tree.links.new(alpha, seen.inputs["Value"])
+    dull = add_math(tree, "SUBTRACT", 1.0, metallic, -550, -400)
+    dull = add_math(tree, "MAXIMUM", dull, 0.0, -350, -400)
     factor = add_math(tree, "MULTIPLY", seen.outputs["Result"], strength, -350, -200)
+    factor = add_math(tree, "MULTIPLY", factor, dull, -250, -300)
     tree.links.new(factor, emission.inputs["Strength"])
     # Cycles leaves out what has no weight in a mix: other rays need not find the light.
     mix = add_node(tree, "ShaderNodeMixShader", 50, -100)
-    tree.links.new(camera, mix.inputs[0])
+    tree.links.new(is_seen, mix.inputs[0])
     tree.links.new(emission.outputs["Emission"], mix.inputs[2])
+    left = _left(tree, shader, seen.outputs["Result"])
     add = add_node(tree, "ShaderNodeAddShader", 250, 0)
-    tree.links.new(shader, add.inputs[0])
+    tree.links.new(left, add.inputs[0])
     tree.links.new(mix.outputs["Shader"], add.inputs[1])
     output = add_node(tree, "NodeGroupOutput", 450, 0)
     tree.links.new(add.outputs["Shader"], output.inputs["Shader"])
+
+
+def _left(tree, shader, alpha):
+    """The socket of what is left of the closure `shader` for the rays that find it.
+
+    Holes, where `alpha` is 0, stay, and no Transparent BSDF is needed, which slows shadows down.
+    """
+    path = add_node(tree, "ShaderNodeLightPath", -550, 400).outputs
+    rays = path["Is Diffuse Ray"], path["Is Transmission Ray"]
+    scattered = add_math(tree, "MULTIPLY", *rays, -350, 400)
+    mix = add_node(tree, "ShaderNodeMixShader", 50, 300)
+    tree.links.new(add_math(tree, "MULTIPLY", scattered, alpha, -150, 400), mix.inputs[0])
+    tree.links.new(shader, mix.inputs[1])
+    return mix.outputs["Shader"]
 
 
 def _build_rest(tree):
@@ -299,7 +342,7 @@ def _build_rest(tree):
     color = "The colour of the closure, which shows all its light by LB Ambient"
     add_input(tree, "Color", "Color", color, (0.8, 0.8, 0.8, 1.0))
     color = add_node(tree, "NodeGroupInput", -400, 200).outputs["Color"]
-    camera = add_node(tree, "ShaderNodeLightPath", -600, 0).outputs["Is Camera Ray"]
+    seen = _seen(tree, -1000, 200)
     hidden = 0.0
     for of, names, y in (
         ("GEOMETRY", (AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), -200),
@@ -315,7 +358,7 @@ def _build_rest(tree):
         whole = add_attribute(tree, WHOLE_ATTRIBUTE, -400, y + 200, of).outputs["Factor"]
         there = add_math(tree, "MULTIPLY", there, whole, -200, y)
         hidden = add_math(tree, "MAXIMUM", there, hidden, 0, y)
-    shown = add_math(tree, "MULTIPLY", camera, hidden, 0, 0)
+    shown = add_math(tree, "MULTIPLY", seen, hidden, 0, 0)
     left = add_math(tree, "SUBTRACT", 1.0, shown, 200, 0)
     rest = add_vector(tree, "SCALE", color, left, 400, 100)
     output = add_node(tree, "NodeGroupOutput", 600, 100)

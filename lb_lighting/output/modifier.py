@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Foliage out, without writing on it: a geometry nodes modifier that reads the baked volume.
+"""Surfaces out, without writing on them: a geometry nodes modifier that reads the baked volume.
 
 `LB Ambient Grid` samples the grids of a baked Volume object at every evaluation, where the plant
 is then: what is animated, scattered or instanced is lit anew, and the mesh stays as it is. It
@@ -7,9 +7,12 @@ stores on points what `attribute.write_ambient` writes, `lb_ambient` and `lb_amb
 instance it stores what falls on a surface of any direction there: `lb_ambient` of the mean of both
 sides, and `lb_ambient_x`, `_y`, `_z`, from which `LB Ambient` finds the light of each side. Where
 that is all light, `lb_whole` is 1 on either.
+
+Foliage has it where the user chose so; any mesh has it whose vertices cannot hold its light.
 """
 
 from ..ours import TAG, is_ours
+from . import attribute
 from .ambient import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,
@@ -23,33 +26,74 @@ from .nodes import add_input, add_math, add_node, add_output, add_vector
 from .vdb import AXES
 
 GRID_GROUP = "LB Ambient Grid"
-WHOLE = "All Light"  # its input
+WALL_GROUP = "LB Ambient Grid of Walls"
+WHOLE, BODY, STAND_OFF = "All Light", "Filled", "Stand Off"  # inputs
+NAMED = 5  # objects in a note; of more it says how many
 
 
-def light_foliage(ob, baked, whole=False):
+def readers(objects, sources, depsgraph, chosen, notes):
+    """[number] of those `sources` of the `objects` that are to get their light by the modifier.
+
+    That is foliage where it is `chosen`, and any surface where light on vertices would be that of
+    other places, of which the `notes` tell.
+    """
+    found, misplaced, instancers = [], {}, attribute.instancers(objects, depsgraph)
+    for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
+        if ob.type != "MESH" or not source.shows_light:
+            continue
+        if ob in instancers:
+            notes.append(
+                f"'{instancers[ob].name}' instances '{ob.name}' and shows the light of that; make "
+                "its instances real, and select them, to light them where they are."
+            )
+        reason = attribute.misplaced(ob, depsgraph)
+        if source.lights_instances:
+            reason = "geometry nodes make instances, each of which has the light at its origin"
+        is_chosen = chosen and source.is_foliage
+        if is_chosen or reason:
+            found.append(number)
+        if reason and not is_chosen:
+            misplaced.setdefault(reason, []).append(ob.name)
+    notes.extend(
+        f"{_listed(names)}: {reason}. The modifier {GRID_GROUP} looks the light up there."
+        for reason, names in misplaced.items()
+    )
+    return found
+
+
+def _listed(names):
+    """Some of `names`, and how many more there are."""
+    listed = ", ".join(f"'{name}'" for name in names[:NAMED])
+    return listed if len(names) <= NAMED else f"{listed} and {len(names) - NAMED} more"
+
+
+def add_modifier(ob, baked, whole=False, is_body=False, stand_off=0.0):
     """Give the mesh object `ob` the modifier that reads the Volume object `baked`, once, as the
     last of its modifiers; the user's values of its other inputs stay.
 
-    whole  whether what it reads is all light
+    whole      whether what it reads is all light
+    is_body    whether both sides show what comes out of it, see `Vertices`
+    stand_off  m, how far in front of each side of a wall its light is taken; 0 for what is none
     """
     modifier = _find(ob)
     if modifier is None:
         modifier = ob.modifiers.new(GRID_GROUP, "NODES")
-        modifier.node_group = grid_group()
         modifier.use_pin_to_last = True
-    modifier.node_group = grid_group()  # which an older file may have as it was then
-    _input(modifier, "Volume").value = baked
-    _input(modifier, WHOLE).value = whole
+    # Made anew where an older version of ours left it; the inputs of both groups are the same.
+    modifier.node_group = wall_group() if stand_off else grid_group()
+    values = {"Volume": baked, WHOLE: whole, BODY: is_body}
+    for name, value in (values | ({STAND_OFF: stand_off} if stand_off else {})).items():
+        _input(modifier, name).value = value
 
 
 def is_whole(ob):
-    """True for an object that `light_foliage` gave all light."""
+    """True for an object that `add_modifier` gave all light."""
     modifier = _find(ob)
     return modifier is not None and bool(_input(modifier, WHOLE).value)
 
 
 def has_modifier(ob):
-    """True for an object that `light_foliage` lit."""
+    """True for an object that `add_modifier` lit."""
     return _find(ob) is not None
 
 
@@ -70,7 +114,7 @@ def _find(ob):
 
 
 def _reads_grid(group):
-    return group is not None and is_ours(group) and group[TAG] == GRID_GROUP
+    return group is not None and is_ours(group) and group[TAG] in (GRID_GROUP, WALL_GROUP)
 
 
 def grid_group():
@@ -78,7 +122,12 @@ def grid_group():
     return our_group(GRID_GROUP, _build, "GeometryNodeTree")
 
 
-def _build(tree):
+def wall_group():
+    """That for walls: each side's light is taken in front of it, so it looks up twice as much."""
+    return our_group(WALL_GROUP, lambda tree: _build(tree, is_wall=True), "GeometryNodeTree")
+
+
+def _build(tree, is_wall=False):
     tree.is_modifier = True
     add_output(tree, "Geometry", "Geometry", "The plant, with its light on it")
     add_input(tree, "Geometry", "Geometry", "The plant; meshes and instances are lit")
@@ -90,16 +139,28 @@ def _build(tree):
     )
     add_input(tree, "Realize Instances", "Bool", realize, False)
     add_input(tree, WHOLE, "Bool", "On: the baked light is all light, the sky's own, too", False)
+    add_input(tree, BODY, "Bool", "On: both sides show the light that comes out", False)
+    if is_wall:
+        off = "How far in front of each side its light is taken, in m"
+        add_input(tree, STAND_OFF, "Float", off, 0.0, ANY)
     group = add_node(tree, "NodeGroupInput", -1800, 0)
-    geometry, baked, strength, realize, whole = group.outputs[:5]
+    geometry, baked, strength, realize, whole, is_body = group.outputs[:6]
 
     geometry = _realized(tree, geometry, realize)
     parts = add_node(tree, "GeometryNodeSeparateComponents", -1000, 400)
     tree.links.new(geometry, parts.inputs["Geometry"])
-    light, normal = _light(tree, baked, strength)
-    mesh = _store_sides(tree, parts.outputs["Mesh"], light, normal)
+    volume, place, normal = _place(tree, baked)
+    if is_wall:
+        off = add_vector(tree, "SCALE", normal, group.outputs[STAND_OFF], -800, -900)
+        front = add_vector(tree, "ADD", place, off, -600, -900)
+        back = add_vector(tree, "SUBTRACT", place, off, -600, -1100)
+        front = _light(tree, volume, front, strength, 0)
+        back = _light(tree, volume, back, strength, -1200)
+    else:
+        front = back = _light(tree, volume, place, strength, 0)
+    mesh = _store_sides(tree, parts.outputs["Mesh"], front, back, normal, is_body)
     instances = parts.outputs["Instances"]
-    for number, (name, value) in enumerate(light.items()):
+    for number, (name, value) in enumerate(front.items()):
         x = 600 + 200 * number
         instances = _store(tree, instances, name, value, x, 700, domain="INSTANCE")
     mesh = _store(tree, mesh, WHOLE_ATTRIBUTE, whole, 1200, 300, kind="FLOAT")
@@ -125,11 +186,9 @@ def _realized(tree, geometry, realize):
     return switch.outputs["Output"]
 
 
-def _light(tree, baked, strength):
-    """({name: socket} of the vector grids at each element, the socket of its normal).
-
-    Both in the space of the Volume object `baked`, which a bake puts at the world's origin.
-    """
+def _place(tree, baked):
+    """The sockets of the geometry of the Volume object `baked`, and of the place and the unit
+    normal of each element in its space, which a bake puts at the world's origin."""
     info = add_node(tree, "GeometryNodeObjectInfo", -1600, -200)
     here = add_node(tree, "GeometryNodeObjectInfo", -1600, -500)
     info.transform_space, here.transform_space = "ORIGINAL", "RELATIVE"
@@ -148,16 +207,20 @@ def _light(tree, baked, strength):
     unit.operation = "NORMALIZE"
     tree.links.new(normal, unit.inputs[0])
 
+    return info.outputs["Geometry"], place, unit.outputs["Vector"]
+
+
+def _light(tree, volume, place, strength, y):
+    """{name: socket} of the vector grids of the geometry `volume` at the socket `place`."""
     names = (AMBIENT_ATTRIBUTE, *map(ambient_axis, AXES))
-    volume = info.outputs["Geometry"]
-    is_open = _sample(tree, volume, OPEN_GRID, "FLOAT", place, -1000, 0)
-    is_open = add_math(tree, "MAXIMUM", is_open, LEAST_OPEN, -600, 0)
-    factor = add_math(tree, "DIVIDE", strength, is_open, -400, 0)
+    is_open = _sample(tree, volume, OPEN_GRID, "FLOAT", place, -1000, y)
+    is_open = add_math(tree, "MAXIMUM", is_open, LEAST_OPEN, -600, y)
+    factor = add_math(tree, "DIVIDE", strength, is_open, -400, y)
     light = {}
     for number, name in enumerate(names, 1):
-        value = _sample(tree, volume, name, "VECTOR", place, -1000, -180 * number)
-        light[name] = add_vector(tree, "SCALE", value, factor, -200, -180 * number)
-    return light, unit.outputs["Vector"]
+        value = _sample(tree, volume, name, "VECTOR", place, -1000, y - 180 * number)
+        light[name] = add_vector(tree, "SCALE", value, factor, -200, y - 180 * number)
+    return light
 
 
 def _applied(tree, kind, socket, x, y):
@@ -187,18 +250,26 @@ def _sample(tree, volume, name, data_type, place, x, y):
     return sample.outputs["Value"]
 
 
-def _store_sides(tree, mesh, light, normal):
-    """Store the light of the front and of the back on the points of the socket `mesh`."""
-    mean, *components = light.values()
+def _store_sides(tree, mesh, front, back, normal, is_body):
+    """Store the light of the front and of the back on the points of the socket `mesh`.
+
+    front, back  {name: socket} of the grids where the light of either side is taken
+    is_body      socket: the front, too, shows what comes from behind
+    """
     parts = add_node(tree, "ShaderNodeSeparateXYZ", -200, -900)
     tree.links.new(normal, parts.inputs[0])
-    along = (0, 0, 0)
-    for number, component in enumerate(components):
-        own = add_vector(tree, "SCALE", component, parts.outputs[number], 0, -360 - 180 * number)
-        along = add_vector(tree, "ADD", along, own, 200, -360 - 180 * number)
-    sides = ((AMBIENT_ATTRIBUTE, "SUBTRACT"), (BACK_ATTRIBUTE, "ADD"))
-    for number, (name, operation) in enumerate(sides):
-        side = add_vector(tree, operation, mean, along, 400, -180 * number)
+    twice = add_math(tree, "MULTIPLY", is_body, 2.0, 0, -1100)
+    against = add_math(tree, "SUBTRACT", twice, 1.0, 200, -1100)
+    sides = ((AMBIENT_ATTRIBUTE, front, against), (BACK_ATTRIBUTE, back, 1.0))
+    for number, (name, light, sign) in enumerate(sides):
+        mean, *components = light.values()
+        along = (0, 0, 0)
+        for axis, component in enumerate(components):
+            y = -360 - 180 * axis
+            own = add_vector(tree, "SCALE", component, parts.outputs[axis], 0, y)
+            along = add_vector(tree, "ADD", along, own, 200, y)
+        along = add_vector(tree, "SCALE", along, sign, 300, -180 * number)
+        side = add_vector(tree, "ADD", mean, along, 400, -180 * number)
         side = add_vector(tree, "MAXIMUM", side, (0, 0, 0), 600, -180 * number)
         mesh = _store(tree, mesh, name, side, 800 + 200 * number, 300)
     return mesh

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Nodes, links and sockets of groups that are made by code."""
+"""Nodes, links and sockets of groups and materials that are made by code."""
 
 import bpy
+
+from ..ours import TAG
 
 
 def add_input(tree, name, kind, description, default=None, limits=None, hidden=False):
@@ -84,3 +86,11 @@ def _feed(tree, target, value):
         tree.links.new(value, target)
     else:
         target.default_value = value
+
+
+def new_material(name, tag):
+    """A material of ours without any nodes."""
+    material = bpy.data.materials.new(name)
+    material[TAG] = tag
+    material.node_tree.nodes.clear()
+    return material

@@ -71,7 +71,6 @@ class Reader:
                    coefficients of CUSTOM as they are
     grid           name of the grid to read, or "" for the one that the material names
     custom         the `Optics` of CUSTOM, 1/m
-    instances_lit  those that geometry nodes make of foliage show light
     """
 
     depsgraph: object
@@ -79,7 +78,6 @@ class Reader:
     optical_depth: float
     grid: str
     custom: Optics | None = None
-    instances_lit: bool = False
     notes: list = field(default_factory=list)
 
     def __post_init__(self):
@@ -524,7 +522,9 @@ class SmokeSource(_GridSource):
 
 
 class _SurfaceSource(_Source):
-    """dimensions  that it has at least where it is not scaled to nothing"""
+    """dimensions        that it has at least where it is not scaled to nothing
+    lights_instances  whether a modifier of the object can light all that it instances
+    """
 
     dimensions = 2
 
@@ -535,9 +535,9 @@ class _SurfaceSource(_Source):
             faces.refuse_broken(self.dimensions)
         # A modifier of the object sees the instances that modifiers make, and no others.
         duplicates = ob.instance_type != "NONE" or len(ob.particle_systems)
-        lit = self.is_foliage and reader.instances_lit and not duplicates
         instanced = any(part.instanced for part in parts)
-        if self.shows_light and ob.type == "MESH" and instanced and not lit:
+        self.lights_instances = self.is_foliage and instanced and not duplicates
+        if self.shows_light and ob.type == "MESH" and instanced and not self.lights_instances:
             reader.notes.append(
                 f"The instances of '{ob.name}' shade and colour the light, but show none of it "
                 "themselves; make them real to light them."

@@ -40,11 +40,13 @@ class Decided:
     settings  `Settings` that it is solved by
     times     that light is gathered
     whole     whether surfaces show all light, unscattered light, too
+    readers   [number of the source] of those that a modifier is to light
     """
 
     settings: Settings | None = None
     times: int | None = None
     whole: bool | None = None
+    readers: list | None = None
 
 
 @dataclass
@@ -75,6 +77,7 @@ class Lit:
              none was gathered
     times    that it was, or 0
     ambient  {number of the source: what `Vertices.light` returns}
+    readers  [number of the source] of those that a modifier is to light
     notes    sentences that the user should read
     left_out numbers of the sources that could not be lit
     """
@@ -87,6 +90,7 @@ class Lit:
     lobes: np.ndarray | None
     times: int
     ambient: dict
+    readers: list
     notes: list
     left_out: list
 
@@ -169,7 +173,7 @@ class Light:
         ambient = {
             number: vertices.light(falling, occlusion)
             for number, vertices in self.surfaces.items()
-            if self.sources[number].shows_light and self.sources[number] not in self.left_out
+            if self._shows_light(number)
         }
         optics = problem.shown[1]
         return Lit(
@@ -181,9 +185,15 @@ class Light:
             None if field.scattered is None else field.scattered.g,
             _times(field),
             ambient,
+            [number for number in self.readers if self._shows_light(number)],
             self.reader.notes,
             [number for number, source in enumerate(self.sources) if source in self.left_out],
         )
+
+    def _shows_light(self, number):
+        """Whether the source of this number has a surface that shows its light."""
+        source = self.sources[number]
+        return source.shows_light and source not in self.left_out
 
     def problem(self):
         """The `Problem` that the scene poses."""

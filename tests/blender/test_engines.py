@@ -81,9 +81,9 @@ def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced, whol
     ob = square(white(kind))
     if whole:
         shine(0.5)
-    part(lb, "output.shading").wire_ambient(ob.active_material, whole=whole)
+    part(lb, "output.shading_surfaces").wire_ambient(ob.active_material, whole=whole)
     lit = instance(ob) if instanced else ob
-    part(lb, "output.modifier").light_foliage(lit, baked(lb, tmp_path / "a.vdb"), whole)
+    part(lb, "output.modifier").add_modifier(lit, baked(lb, tmp_path / "a.vdb"), whole)
     camera(target=(0, 0, 0), width=1)
     # The flux goes to the seen side of what reflects, and leaves that of what lets through.
     sign = 1 if kind == "ShaderNodeBsdfDiffuse" else -1

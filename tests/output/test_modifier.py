@@ -15,8 +15,8 @@ from lb_lighting.output.ambient import (
     irradiance,
     sample,
 )
-from lb_lighting.output.modifier import GRID_GROUP, has_modifier, light_foliage
-from lb_lighting.output.shading import wire_ambient
+from lb_lighting.output.modifier import GRID_GROUP, add_modifier, has_modifier
+from lb_lighting.output.shading_surfaces import wire_ambient
 from lb_lighting.output.vdb import AXES, write_vdb
 from lb_lighting.output.volume import show_volume
 from lb_lighting.transport.field import Field, Report
@@ -271,7 +271,7 @@ def test_each_side_of_an_instance_shows_the_light_that_it_gets(tmp_path, tilt, k
     plant = scenery.link("a plant", mesh)
     plant.rotation_euler.y = tilt
     plant.modifiers.new("scatter", "NODES").node_group = scatter_group(leaf, turned=0)
-    light_foliage(plant, baked)
+    add_modifier(plant, baked)
     set_input(plant, "Realize Instances", realize)
     up = abs(np.cos(tilt)) * (-1 if kind == "ShaderNodeBsdfDiffuse" else 1)
     picture = render(scene, tmp_path / "a.exr", 16, 4)

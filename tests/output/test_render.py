@@ -7,7 +7,8 @@ import pytest
 from mathutils import Euler, Vector
 
 from lb_lighting.output.attribute import read_vertices, remove_ambient, write_ambient
-from lb_lighting.output.shading import prepare_scene, shade_volume, wire_ambient
+from lb_lighting.output.shading import prepare_scene, shade_volume
+from lb_lighting.output.shading_surfaces import wire_ambient
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     direct_grid,
@@ -102,13 +103,13 @@ def test_add_over_the_scattering_medium_counts_its_light_once(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
-def test_mirrors_see_what_replaces_but_not_what_is_added(tmp_path, mode):
+def test_mirrors_see_what_replaces_and_what_is_added(tmp_path, mode):
     scene = dark_scene((5, 0, 10), (0, 0, 0), width=1)
     mirror = plane(0, 4, surface("ShaderNodeBsdfGlossy", Roughness=0.0, Color=(1, 1, 1, 1)))
     mirror.location.x, mirror.rotation_euler.y = 5, -np.pi / 4
     prepare_scene(scene)
     shade_volume(box(tmp_path / "a.vdb"), mode, SIGMA_S, SIGMA_A)
-    expected = emission_absorption() if mode == "REPLACE" else (0, 0, 0)
+    expected = emission_absorption() if mode == "REPLACE" else SIGMA_S * LIGHT * DEPTH
     picture = render(scene, tmp_path / "a.exr", 16, 4)
     assert middle(picture) == pytest.approx(expected, rel=0.01)
 
@@ -493,12 +494,12 @@ def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
     """And what has the same material, but is not lit, shows the sky's as before."""
     scene, (make, reflectance) = under_sky(width=1), REFLECTANCES[name]
     ob = plane(0, 2, make())
-    before = render(scene, tmp_path / "a.exr", 16, 64)
+    before = render(scene, tmp_path / "a.exr", 16, 256)
     light_plane(ob, LIGHT, whole=True)
     lit = render(scene, tmp_path / "b.exr", 16, 4)
     assert middle(lit) == pytest.approx(2 * reflectance * LIGHT, rel=0.01)
     remove_ambient(ob)
-    after = render(scene, tmp_path / "c.exr", 16, 64)
+    after = render(scene, tmp_path / "c.exr", 16, 256)
     assert middle(after) == pytest.approx(middle(before), rel=1e-3)
     assert middle(before).min() > 0.01
 
