@@ -20,6 +20,7 @@ from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights
+from .scene.receivers import Receivers
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
@@ -206,7 +207,8 @@ def gather(context, objects, options, path=None, decided=None):
             if source.shows_light and ob.type == "MESH" and not _is_read(source, options)
         }
         shining = any(source.shines for source in sources)
-        lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
+        receivers = Receivers.of(objects, sources, depsgraph, box)
+        lights = scene_lights(context.scene, depsgraph, reader.notes, not shining, receivers)
     if decided.whole is None:
         whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
         decided = replace(decided, whole=whole)
