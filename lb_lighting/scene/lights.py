@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lamps and the sky of a Blender scene as transport lights."""
 
-import bpy
 import numpy as np
 from mathutils import Euler
 
 from ..errors import LightError
 from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from ..transport.panorama import panorama_lights
+from .emitters import shining_lamps
 from .light_nodes import IN_VOLUMES, ON_SURFACES, LightShader
 from .receivers import SHADED
 from .remarks import Remarks
+from .rendered import rendered_objects, world_matrix
 from .shaders import Shader, linear_pixels, resolve
 
 _MANY_BOUNCES = 32  # of a lamp, from which on its light has faded before they are used up
@@ -30,7 +31,8 @@ WORLD_VOLUME = (
 
 
 def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
-    """[light]: every lamp that renders, instanced ones too, and the world. A point or spot of any
+    """[light]: every lamp that renders, instanced ones too, meshes that shine (where receivers are
+    known), and the world. A point or spot of any
     radius counts as a point, a sun of any angle as one direction.
 
     notes      list of sentences for the user, which what is read only in part is added to
@@ -43,6 +45,8 @@ def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
     """
     remarks = Remarks()
     lights = _lamps(depsgraph, receivers, remarks)
+    if receivers:
+        lights += shining_lamps(depsgraph, receivers, remarks, notes)
     world = depsgraph.view_layer.world_override or scene.world
     if world:
         lights += _world(world, receivers, notes, remarks)
@@ -127,33 +131,6 @@ def _is_lamp(ob):
         return False
     is_portal = hasattr(ob.data, "cycles") and ob.data.cycles.is_portal
     return not (ob.data.type == "AREA" and is_portal)
-
-
-def rendered_objects(layer):
-    """{original object: None}, in order, of all in a layer collection that renders show."""
-    if layer.collection.hide_render:
-        return {}
-    shown = [] if layer.exclude else [ob for ob in layer.collection.objects if not ob.hide_render]
-    found = dict.fromkeys(shown)
-    for child in layer.children:
-        found |= rendered_objects(child)
-    return found
-
-
-def world_matrix(ob, depsgraph):
-    """The world matrix of `ob` at the current frame, whether viewports show it or not."""
-    evaluated = ob.evaluated_get(depsgraph)
-    if evaluated.is_evaluated:
-        return evaluated.matrix_world.copy()
-    # Blender places nothing that is hidden; a copy that is shown for a moment tells where it is.
-    twin = ob.copy()
-    twin.hide_viewport = False
-    depsgraph.scene.collection.objects.link(twin)
-    depsgraph.update()
-    matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
-    bpy.data.objects.remove(twin)
-    depsgraph.update()
-    return matrix
 
 
 def _disk(lamp):
