@@ -22,6 +22,7 @@ from .output import attribute, modifier, shading, volume
 from .scene.lights import scene_lights
 from .scene.receivers import Receivers
 from .scene.sources import Reader, open_sources
+from .scene.surroundings import tell_surroundings
 from .scene.volumes import box_bounds
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
@@ -209,6 +210,7 @@ def gather(context, objects, options, path=None, decided=None):
         shining = any(source.shines for source in sources)
         receivers = Receivers.of(objects, sources, depsgraph, box)
         lights = scene_lights(context.scene, depsgraph, reader.notes, not shining, receivers)
+        tell_surroundings(depsgraph, lights, receivers, reader.notes, {options.domain})
     if decided.whole is None:
         whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
         decided = replace(decided, whole=whole)

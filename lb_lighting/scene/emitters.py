@@ -3,6 +3,7 @@
 
 from collections import defaultdict
 
+import bpy
 import numpy as np
 
 from ..ours import is_ours
@@ -36,8 +37,11 @@ def shining_lamps(depsgraph, receivers, remarks, notes):
 
 
 def _emitters(depsgraph, receivers, remarks):
+    glows = _Glows()
+    if not any(map(glows.of, bpy.data.materials)):
+        return []  # as in most scenes, however many objects they have
     rendered = rendered_objects(depsgraph.view_layer.layer_collection)
-    glows, meshes, placed = _Glows(), {}, defaultdict(list)
+    meshes, placed = {}, defaultdict(list)
     for instance in depsgraph.object_instances:
         ob = instance.object
         owner = (instance.parent if instance.is_instance else ob).original
@@ -110,6 +114,8 @@ class _Glows:
         return self._known[material]
 
     def _read(self, material):
+        if material.node_tree is None:
+            return None
         shaders = [LightShader(material, back=back, tolerant=True) for back in (0.0, 1.0)]
         sides = tuple(map(_radiance, shaders))
         self.patterns[material] = shaders[0].patterns | shaders[1].patterns
