@@ -5,7 +5,6 @@ Needs no Blender; emitters.py reads them.
 """
 
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -13,13 +12,15 @@ from ..transport.lights import AreaLight, PointLight
 from .shaders import LUMINANCE
 
 MOST = 16  # lamps for all of them together
-_FLAT = 0.8  # length of the mean normal, from which a patch shines about as one flat face
+_LEVEL = 0.3  # length of the mean normal, from which on a flat lamp may stand for a patch
 _ALIKE = 1e-3  # of the same, and of depth over width: exactly flat
 _FIT = 0.02  # share of its area by which a patch may differ from a rectangle that counts as exact
-_GOOD = 2e-3  # share of the light times what is wrong with it, below which a patch stays whole
+_GOOD = 0.015  # `fault` of a patch, below which it stays whole
 _EDGES = 12  # edges of a patch along which a rectangle is looked for
 _THINNEST = 1e-3  # width over length of a lamp
 _PIECES = 6  # along the edges of a lamp, for its light in the middle of the box
+_PLACES = 40  # in the box, where lamps are held to what they stand for
+_CLOSE = 3  # widths of a patch, within which a lamp need not be like it
 _SLANTED = 0.05  # what a face that turns from the middle of the box counts at least
 
 
@@ -106,7 +107,7 @@ def lamps_of(emitters, lower, upper, most=MOST):
         patches.remove(worst)
         patches += halves
     return Shining(
-        [patch.light() for patch in patches],
+        [patch.light for patch in patches],
         [emitters[patch.owner].name for patch in patches],
         {emitters[patch.owner].name: None for patch in patches if not patch.exact},
         {emitters[k].name: None for k in order[most:]},
@@ -115,7 +116,12 @@ def lamps_of(emitters, lower, upper, most=MOST):
 
 
 class _Patch:
-    """Faces that one lamp stands for; `share` is that of all light which they send."""
+    """Faces that one lamp stands for; `share` is that of all light which they send.
+
+    light  the lamp
+    exact  whether it is what the faces are, not only about as bright at some places in the box
+    fault  share of all light by which it is wrong at these
+    """
 
     def __init__(self, faces, lower, upper, share):
         self.faces, self.lower, self.upper, self.share = faces, lower, upper, share
@@ -133,35 +139,77 @@ class _Patch:
         moments += 9 * np.einsum("n,ni,nj->ij", area, middle, middle)
         self.moments = moments / (12 * self.area)
         self.width = np.sqrt(np.trace(self.moments))
-        self._fit()
+        self._choose()
 
-    def _fit(self):
-        """`u` and `v`, (3,) m, of the flat lamp; whether it is an `ellipse`; `exact`; `fault`."""
+    def _choose(self):
+        shape = self._flat_shape()
+        candidates = [self._flat_light(shape)] if shape else []
+        if self.exact:
+            (self.light,), self.fault = candidates, 0.0
+            return
+        candidates.append(self._point())
+        places = self._places()
+        wanted = _falling(places, self.faces.centers, self.faces.normals) @ self._sent
+        outside = np.any(_gap(self.center, self.lower, self.upper))
+        faults = []
+        for n, light in enumerate(candidates):
+            power = np.broadcast_to(light.power, 3)
+            given = np.outer(_falling(places, *_pieces(light)).mean(axis=1), power)
+            given /= 4 * np.pi if isinstance(light, PointLight) else np.pi
+            if given.sum() > 0 and outside:
+                factor = wanted.sum(axis=0) / np.maximum(given.sum(axis=0), 1e-300)
+                factor = np.where(given.sum(axis=0) > 0, factor, 0)
+                candidates[n] = replace(light, power=spectrum(power * factor))
+                given = given * factor
+            faults.append(np.abs(given - wanted).sum() / max(wanted.sum(), 1e-300))
+        best = int(np.argmin(faults))
+        self.light, self.fault = candidates[best], self.share * faults[best]
+
+    @property
+    def _sent(self):
+        """(n, 3) W/sr straight ahead of each face."""
+        return self.faces.areas[:, None] * self.faces.radiance
+
+    def _flat_light(self, shape):
+        u, v, ellipse = shape
+        if np.cross(u, v) @ self.normal < 0:
+            u, v = v, u
+        ahead = np.einsum("nb,ni->bi", self._sent, self.faces.normals)
+        power = np.pi * np.linalg.norm(ahead, axis=1)
+        u, v, center = (tuple(map(float, vector)) for vector in (u, v, self.center))
+        return AreaLight(center, u, v, spectrum(power), ellipse)
+
+    def _point(self):
+        radius = float(np.sqrt(self.area / (4 * np.pi)))
+        power = spectrum(np.pi * self._sent.sum(axis=0))
+        return PointLight(tuple(map(float, self.center)), power, radius)
+
+    def _flat_shape(self):
+        """(u, v, whether it is an ellipse) of a flat lamp like it, or None; sets `exact`."""
+        self.exact = False
+        if self.flatness < _LEVEL:
+            return None
         depth = np.sqrt(max(self.normal @ self.moments @ self.normal, 0)) / self.width
         across = np.eye(3) - np.outer(self.normal, self.normal)
         squares, axes = np.linalg.eigh(across @ self.moments @ across)
         long, short = np.sqrt(np.maximum(squares[:0:-1], 0))
         short = max(short, _THINNEST * long)
-        self.u, self.v = axes[:, 2], axes[:, 1]
         filled = self.area / (12 * long * short)  # 1 for a rectangle, pi/3 for an ellipse
-        self.ellipse = filled > (1 + np.pi / 3) / 2
-        flat = 1 - self.flatness < _ALIKE and depth < _ALIKE
-        rectangle = self._rectangle() if flat else None
-        self.exact = flat and self.ellipse and abs(filled - np.pi / 3) < _FIT
-        if rectangle:
-            (self.u, self.v), self.ellipse, self.exact = rectangle, False, True
-        else:
-            scale = 4 if self.ellipse else np.sqrt(12)
-            self.u, self.v = scale * long * self.u, scale * short * self.v
-        if np.cross(self.u, self.v) @ self.normal < 0:
-            self.u, self.v = self.v, self.u
-        wrong = 1 - self.flatness + depth + max(0, 1 - filled)
-        self.fault = 0.0 if self.exact else self.share * wrong * self._nearness()
+        if 1 - self.flatness < _ALIKE and depth < _ALIKE:
+            rectangle = self._rectangle()
+            self.exact = rectangle is not None or abs(filled - np.pi / 3) < _FIT
+            if rectangle:
+                return *rectangle, False
+        ellipse = bool(filled > (1 + np.pi / 3) / 2)
+        scale = 4 if ellipse else np.sqrt(12)
+        return scale * long * axes[:, 2], scale * short * axes[:, 1], ellipse
 
-    def _nearness(self):
-        """0 for a patch that is small from where it lights, 1 for one that is there."""
-        gap = np.linalg.norm(_gap(self.center, self.lower, self.upper))
-        return (self.width / (self.width + gap)) ** 2
+    def _places(self):
+        """(n, 3) m: places in the box, those that are not right at the faces if there are any."""
+        middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
+        places = middle + half * np.random.default_rng(0).uniform(-1, 1, (_PLACES, 3))
+        off = np.linalg.norm(places - self.center, axis=1) > _CLOSE * self.width
+        return places[off] if off.any() else places
 
     def _rectangle(self):
         """(u, v) of the rectangle that the faces fill, or None."""
@@ -199,30 +247,6 @@ class _Patch:
             for half, part in ((upper, share), (~upper, 1 - share))
         ]
 
-    def light(self):
-        """The lamp. One that is not exact gives the faces' light to the middle of the box."""
-        sent = self.faces.areas[:, None] * self.faces.radiance  # W/sr straight ahead of each
-        if self.exact or self.flatness > _FLAT:
-            power = np.pi * np.linalg.norm(np.einsum("nb,ni->bi", sent, self.faces.normals), axis=1)
-            u, v = tuple(self.u), tuple(self.v)
-            light = AreaLight(tuple(self.center), u, v, spectrum(power), bool(self.ellipse))
-        else:
-            radius = float(np.sqrt(self.area / (4 * np.pi)))
-            light = PointLight(tuple(self.center), spectrum(np.pi * sent.sum(axis=0)), radius)
-        if self.exact or not np.any(_gap(self.center, self.lower, self.upper)):
-            return light
-        places = self._places()
-        fluence = _falling(places, self.faces.centers, self.faces.normals).sum(axis=0) @ sent
-        of_one_watt = _falling(places, *_pieces(light)).mean(axis=1).sum()
-        of_one_watt /= 4 * np.pi if isinstance(light, PointLight) else np.pi
-        return replace(light, power=spectrum(fluence / max(of_one_watt, 1e-300)))
-
-    def _places(self):
-        """(9, 3) m: the middle of the box, and halfway from there to its corners."""
-        middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
-        steps = [(0, 0, 0), *product((-0.5, 0.5), repeat=3)]
-        return middle + half * np.array(steps)
-
 
 def _falling(places, centers, normals):
     """(p, n) 1/m^2: the cosine over the squared distance to places (p, 3), of faces (n, 3)."""
@@ -237,11 +261,15 @@ def _pieces(light):
     """(centers (n, 3), normals (n, 3) or None) of pieces that a lamp is made of, equal ones."""
     if isinstance(light, PointLight):
         return np.array([light.position]), None
-    x, y = (np.indices((_PIECES, _PIECES)).reshape(2, -1) + 0.5) / _PIECES - 0.5
-    inside = ~np.array(light.ellipse) | (x**2 + y**2 < 0.25)
+    x, y = (np.indices((_PIECES, _PIECES)).reshape(2, -1) + 0.5) / _PIECES
+    if light.ellipse:
+        radius, turn = np.sqrt(x) / 2, 2 * np.pi * y
+        x, y = radius * np.cos(turn), radius * np.sin(turn)
+    else:
+        x, y = x - 0.5, y - 0.5
     places = np.outer(x, light.u) + np.outer(y, light.v) + light.center
     normal = np.cross(light.u, light.v)
-    return places[inside], np.tile(normal / np.linalg.norm(normal), (inside.sum(), 1))
+    return places, np.tile(normal / np.linalg.norm(normal), (len(places), 1))
 
 
 def spectrum(power):

@@ -224,6 +224,16 @@ def tube_of(radius, length, center):
     return grid_of(place, 24)[:, ::-1]
 
 
+def test_a_bulb_in_the_box_is_a_point():
+    triangles = sphere_of(0.1, (0.1, -0.3, 0.2))
+    count, one = len(triangles), np.ones(3)
+    bulb = Emitter("bulb", triangles, np.zeros(count, bool), np.ones(count, bool), one, one)
+    (light,) = lamps_of([bulb], LOWER, UPPER).lights
+    assert isinstance(light, PointLight)
+    assert light.position == pytest.approx((0.1, -0.3, 0.2))
+    assert light.power == pytest.approx(4 * np.pi**2 * 0.1**2, rel=0.02)
+
+
 def ring_of(radius, hole, z):
     def place(u, v):
         turn, r = 2 * np.pi * u, hole + (radius - hole) * v
@@ -281,7 +291,8 @@ class TestShapes:
     @pytest.mark.parametrize(
         ("triangles", "closed", "off"),
         [
-            pytest.param(sphere_of(0.05, (0, 0, 3)), True, 0.03, id="bulb far away"),
+            pytest.param(sphere_of(0.05, (0, 0, 3)), True, 0.01, id="bulb far away"),
+            pytest.param(sphere_of(0.1, (0.1, 0.2, 2)), True, 0.05, id="bulb close by"),
             pytest.param(sphere_of(1.0, (0, 0, 3)), True, 0.08, id="globe close by"),
             pytest.param(cube_of((2, 2, 0.1), (0, 0, 2)), True, 0.02, id="panel with a depth"),
             pytest.param(cube_of((1, 1, 1), (1.5, 1.5, 2)), True, 0.05, id="cube at an edge"),
@@ -292,7 +303,7 @@ class TestShapes:
             pytest.param(sphere_of(6, (0, 0, 0)), True, 0.06, id="dome around"),
         ],
     )
-    def test_light(self, triangles, closed, off):
+    def test_light(self, triangles, closed, off, request):
         count = len(triangles)
         around = np.abs(triangles).max() > 5
         emitter = Emitter(
@@ -300,6 +311,8 @@ class TestShapes:
         )
         shining = lamps_of([emitter], LOWER, UPPER)
         assert 1 <= len(shining.lights) <= MOST
+        if "bulb" in request.node.name:
+            assert len(shining.lights) == 1
         places = np.random.default_rng(0).uniform(-1, 1, (100, 3))
         seen = triangles[:, ::-1] if around else triangles
         expected = fluence_of_triangles(seen, not closed, places)
