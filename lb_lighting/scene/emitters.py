@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ..ours import is_ours
-from .light_nodes import LightShader
+from .light_nodes import LightShader, or_else
 from .meshes import read_mesh
 from .remarks import listed
 from .rendered import rendered_objects, world_matrix
@@ -110,7 +110,7 @@ class _Glows:
     def of(self, material):
         """((3,), (3,)) W/(m^2 sr), the radiance of fronts and backs, or None for a dark one."""
         if material not in self._known:
-            self._known[material] = self._read(material)
+            self._known[material] = or_else(None, self._read, material)
         return self._known[material]
 
     def _read(self, material):

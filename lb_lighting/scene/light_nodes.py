@@ -6,7 +6,7 @@ To light that is not seen by the camera, Light Path and Backfacing are constants
 
 import numpy as np
 
-from ..errors import LightError
+from ..errors import LightError, LightingError
 from .emission import black_body_color
 from .shaders import LUMINANCE, Shader, resolve
 
@@ -138,6 +138,17 @@ class LightShader(Shader):
         if any(value is None for value in values):
             return None
         return read(node, socket, values)
+
+
+def or_else(default, read, owner):
+    """read(owner), or `default` for nodes that are broken: groups that are gone, loops and such.
+
+    What is not selected is read by the way, and must not end a bake.
+    """
+    try:
+        return read(owner)
+    except (LightingError, AttributeError, LookupError, RuntimeError, StopIteration):
+        return default
 
 
 def _math(node, _socket, values):

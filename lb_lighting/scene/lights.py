@@ -8,7 +8,7 @@ from ..errors import LightError
 from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from ..transport.panorama import panorama_lights
 from .emitters import shining_lamps
-from .light_nodes import IN_VOLUMES, ON_SURFACES, LightShader
+from .light_nodes import IN_VOLUMES, ON_SURFACES, LightShader, or_else
 from .receivers import SHADED
 from .remarks import Remarks
 from .rendered import rendered_objects, world_matrix
@@ -156,17 +156,25 @@ def _strength(lamp, remarks):
     if lamp.use_temperature:
         strength *= lamp.temperature_color
     shader = LightShader(lamp, tolerant=True)
-    strength = strength * sum(
+    made = or_else(None, _made, shader)
+    if made is None:
+        made = 1.0
+        shader.patterns["broken nodes"] = None
+    if np.any(strength * made):
+        for label in shader.patterns:
+            remarks.add(PATTERNS, f"'{lamp.name}' ({label})")
+    return strength * made
+
+
+def _made(shader):
+    """(3,): the colour times the strength of all nodes by which a lamp shines."""
+    return sum(
         (
             c.weight * shader.color(c, "Color") * shader.number(c, "Strength")
             for c in shader.shining("Surface", {"EMISSION"})
         ),
         start=np.zeros(3),
     )
-    if np.any(strength):
-        for label in shader.patterns:
-            remarks.add(PATTERNS, f"'{lamp.name}' ({label})")
-    return strength
 
 
 def _world(world, receivers, notes, remarks):

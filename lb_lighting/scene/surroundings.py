@@ -11,6 +11,7 @@ import numpy as np
 
 from ..ours import is_ours
 from ..transport.lights import AreaLight, PointLight, SpotLight, Sun
+from .light_nodes import or_else
 from .materials import has_volume, volume_shines
 from .receivers import placed_boxes
 from .remarks import listed
@@ -187,7 +188,7 @@ def _look(ob, seen):
     seen  (surfaces, volumes): which of them are lit
     """
     if ob.type == "VOLUME":
-        return _Look(volume=True, shines=any(map(volume_shines, _materials(ob))))
+        return _Look(volume=True, shines=_any(volume_shines, _materials(ob)))
     if ob.type != "MESH" or not (ob.data.polygons or ob.modifiers) or ob.is_holdout:
         return _Look()
     bounces = (ob.visible_diffuse and seen[0]) or (ob.visible_volume_scatter and seen[1])
@@ -195,10 +196,14 @@ def _look(ob, seen):
         return _Look()
     materials = _materials(ob)
     return _Look(
-        not materials or any(map(_is_opaque, materials)),
-        any(map(has_volume, materials)),
-        any(map(volume_shines, materials)),
+        not materials or _any(_is_opaque, materials),
+        _any(has_volume, materials),
+        _any(volume_shines, materials),
     )
+
+
+def _any(is_so, materials):
+    return any(or_else(False, is_so, material) for material in materials)
 
 
 def _materials(ob):

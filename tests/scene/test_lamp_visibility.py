@@ -240,6 +240,19 @@ class TestLampNodes:
         assert read(None, notes) == [PointLight((0, 0, 0), 30.0)]
         assert notes == []
 
+    def test_broken_nodes_count_as_none_and_are_named(self):
+        notes, lamp = [], add_point(energy=10.0)
+        tree = bpy.data.node_groups.new("empty", "ShaderNodeTree")
+        tree.interface.new_socket("Value", in_out="OUTPUT", socket_type="NodeSocketFloat")
+        nodes = lamp.data.node_tree.nodes
+        group = nodes.new("ShaderNodeGroup")
+        group.node_tree = tree
+        emission = next(n for n in nodes if n.type == "EMISSION")
+        lamp.data.node_tree.links.new(group.outputs[0], emission.inputs["Strength"])
+        assert read(None, notes) == [PointLight((0, 0, 0), 10.0)]
+        assert len(notes) == 1
+        assert "'lamp' (broken nodes)" in notes[0]
+
     def test_negative_lamps_are_left_out_and_named(self):
         notes = []
         add_point(energy=-5.0)

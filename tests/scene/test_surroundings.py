@@ -180,3 +180,16 @@ def test_fire_is_named_from_further_away(tmp_path):
     inputs["Emission Strength"].default_value = 1.0
     (note,) = told()
     assert "'fire'" in note
+
+
+def test_broken_materials_of_what_is_not_selected_end_no_bake(scene, tmp_path):
+    material = bpy.data.materials.new("broken")
+    tree = bpy.data.node_groups.new("empty", "ShaderNodeTree")
+    tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    group = material.node_tree.nodes.new("ShaderNodeGroup")
+    group.node_tree = tree
+    output = material.node_tree.get_output_node("CYCLES")
+    for name in ("Surface", "Volume"):
+        material.node_tree.links.new(group.outputs[0], output.inputs[name])
+    add_box("broken", material=material)
+    assert bake_light(scenery.add_fog(tmp_path)).path.exists()
