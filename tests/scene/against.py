@@ -3,18 +3,17 @@
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from tests import scenery
 from tests.output.rendering import render, silent_stdout
 
 SIZE = 16  # pixels along an edge
-SAMPLES = 48
+SAMPLES = 24
 
 
 def look(direction=(0.3, -1, 0.4), width=2.4):
     """Make the scene's camera: orthographic, and `direction` is where it stands."""
-    from mathutils import Vector
-
     scene = bpy.context.scene
     camera = bpy.data.cameras.new("camera")
     camera.type, camera.ortho_scale = "ORTHO", width
