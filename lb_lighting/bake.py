@@ -22,8 +22,10 @@ from .options import Options
 from .output import attribute, modifier, shading, shading_surfaces, volume
 from .output.ambient import STAND_OFF
 from .scene.lights import scene_lights
+from .scene.receivers import Receivers
 from .scene.resample import box_bounds
 from .scene.sources import Reader, open_sources
+from .scene.surroundings import tell_surroundings
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
 from .ties import mend
@@ -221,7 +223,9 @@ def gather(context, objects, options, path=None, decided=None, require=None):
             if source.shows_light and ob.type == "MESH" and number not in readers
         }
         shining = any(source.shines for source in sources)
-        lights = scene_lights(context.scene, depsgraph, reader.notes, needed=not shining)
+        receivers = Receivers.of(objects, sources, depsgraph, box)
+        lights = scene_lights(context.scene, depsgraph, reader.notes, not shining, receivers)
+        tell_surroundings(depsgraph, lights, receivers, reader.notes, {options.domain})
     if decided.whole is None:
         whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
         decided = replace(decided, whole=whole)

@@ -1,54 +1,99 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lamps and the sky of a Blender scene as transport lights."""
 
-import bpy
 import numpy as np
 from mathutils import Euler
 
 from ..errors import LightError
 from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from ..transport.panorama import panorama_lights
+from .emitters import shining_lamps
+from .light_nodes import IN_VOLUMES, ON_SURFACES, LightShader, or_else
+from .receivers import SHADED
+from .remarks import Remarks
+from .rendered import rendered_objects, world_matrix
 from .shaders import Shader, linear_pixels, resolve
 
+_MANY_BOUNCES = 32  # of a lamp, from which on its light has faded before they are used up
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
 
 
-def scene_lights(scene, depsgraph, notes, needed=True):
-    """[light]: every lamp that renders, instanced ones too, and the world. A point or spot of any
+PATTERNS = (
+    "Counted as even light, at their own colour and strength, without the pattern that their "
+    "nodes make: {}."
+)
+NEGATIVE = "Left out, because light cannot be negative here: {}."
+FEW_BOUNCES = "The light of {} goes on scattering, although Max Bounces ends it sooner."
+WORLD_VOLUME = (
+    "The volume of {} is left out: it neither scatters nor dims light. A box with that volume "
+    "material, selected too, would."
+)
+
+
+def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
+    """[light]: every lamp that renders, instanced ones too, meshes that shine (where receivers are
+    known), and the world. A point or spot of any
     radius counts as a point, a sun of any angle as one direction.
 
-    notes   list of sentences for the user, which what is read only in part is added to
-    needed  whether there must be some, for nothing else shines
+    notes      list of sentences for the user, which what is read only in part is added to
+    needed     whether there must be some, for nothing else shines
+    receivers  the `Receivers` that are lit, or None to count also what does not reach them
 
     A lamp counts where it is hidden in viewports only; of instances, those that viewports show.
 
-    Raises LightError where nothing shines, or for a world or lamp whose nodes cannot be read.
+    Raises LightError where nothing shines, or for a world whose nodes cannot be read.
     """
-    lights = [*_lamps(depsgraph), *_skies(scene.world, notes)]
+    remarks = Remarks()
+    lights = _lamps(depsgraph, receivers, remarks)
+    if receivers:
+        lights += shining_lamps(depsgraph, receivers, remarks, notes)
+    world = depsgraph.view_layer.world_override or scene.world
+    if world:
+        lights += _world(world, receivers, notes, remarks)
+    notes.extend(remarks.sentences)
     if needed and not lights:
-        raise LightError("The scene has no light; add a lamp, or give the world a colour.")
+        reasons = "".join(f" {sentence}" for sentence in remarks.sentences)
+        raise LightError(
+            f"The scene has no light; add a lamp, or give the world a colour.{reasons}"
+        )
     return lights
 
 
-def _lamps(depsgraph):
-    rendered = _rendered_objects(depsgraph.view_layer.layer_collection)
-    instanced = [
-        _lamp(instance.object.data, instance.matrix_world)
+def _lamps(depsgraph, receivers, remarks):
+    rendered = rendered_objects(depsgraph.view_layer.layer_collection)
+    found = [
+        _lit_by(instance.object, instance.matrix_world, receivers, remarks)
         for instance in depsgraph.object_instances
         if instance.is_instance and instance.show_self and _is_lamp(instance.object)
         if instance.parent.original in rendered and not instance.object.hide_render
     ]
     # These come last, because placing them may evaluate the scene anew.
-    plain = [
-        _lamp(ob.evaluated_get(depsgraph).data, _world_matrix(ob, depsgraph))
+    found += [
+        _lit_by(ob.evaluated_get(depsgraph), world_matrix(ob, depsgraph), receivers, remarks)
         for ob in rendered
         if _is_lamp(ob)
     ]
-    return [lamp for lamp in instanced + plain if np.any(lamp.spectrum)]
+    return [lamp for lamp in found if lamp is not None]
 
 
-def _lamp(lamp, matrix):
-    strength = _strength(lamp)
+def _lit_by(ob, matrix, receivers, remarks):
+    """The light of an evaluated lamp, or None where it lights nothing."""
+    strength = _strength(ob.data, remarks)
+    if np.any(strength < 0):
+        remarks.add(NEGATIVE, ob.name)
+        strength = np.maximum(strength, 0)
+    if not np.any(strength):
+        return None
+    if receivers and not receivers.take_object(ob, remarks):
+        return None
+    if not ob.data.use_shadow:
+        remarks.add(SHADED, ob.name)
+    if hasattr(ob.data, "cycles") and ob.data.cycles.max_bounces < _MANY_BOUNCES:
+        remarks.add(FEW_BOUNCES, ob.name)
+    return _lamp(ob.data, matrix, strength)
+
+
+def _lamp(lamp, matrix, strength):
     x, y, z = (np.array(column, float) for column in matrix.to_3x3().col)
     if lamp.type == "SUN":
         return Sun(tuple(-z), _scalar_if_grey(strength * _disk(lamp)))
@@ -88,33 +133,6 @@ def _is_lamp(ob):
     return not (ob.data.type == "AREA" and is_portal)
 
 
-def _rendered_objects(layer):
-    """{original object: None}, in order, of all in a layer collection that renders show."""
-    if layer.collection.hide_render:
-        return {}
-    shown = [] if layer.exclude else [ob for ob in layer.collection.objects if not ob.hide_render]
-    found = dict.fromkeys(shown)
-    for child in layer.children:
-        found |= _rendered_objects(child)
-    return found
-
-
-def _world_matrix(ob, depsgraph):
-    """The world matrix of `ob` at the current frame, whether viewports show it or not."""
-    evaluated = ob.evaluated_get(depsgraph)
-    if evaluated.is_evaluated:
-        return evaluated.matrix_world.copy()
-    # Blender places nothing that is hidden; a copy that is shown for a moment tells where it is.
-    twin = ob.copy()
-    twin.hide_viewport = False
-    depsgraph.scene.collection.objects.link(twin)
-    depsgraph.update()
-    matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
-    bpy.data.objects.remove(twin)
-    depsgraph.update()
-    return matrix
-
-
 def _disk(lamp):
     """W/m^2 on a surface that faces the sun, by its strength, as Cycles has it."""
     if lamp.normalize or lamp.angle == 0:
@@ -132,27 +150,69 @@ def _sphere(lamp):
     return 4 * (np.pi * radius**2 if radius > 0 else 1)
 
 
-def _strength(lamp):
+def _strength(lamp, remarks):
     """(3,): what a lamp's own settings and its nodes make of its energy."""
     strength = lamp.energy * 2**lamp.exposure * np.array(lamp.color)
     if lamp.use_temperature:
         strength *= lamp.temperature_color
-    return strength * _glow(lamp, "EMISSION")
+    shader = LightShader(lamp, tolerant=True)
+    made = or_else(None, _made, shader)
+    if made is None:
+        made = 1.0
+        shader.patterns["broken nodes"] = None
+    if np.any(strength * made):
+        for label in shader.patterns:
+            remarks.add(PATTERNS, f"'{lamp.name}' ({label})")
+    return strength * made
 
 
-def _skies(world, notes):
+def _made(shader):
+    """(3,): the colour times the strength of all nodes by which a lamp shines."""
+    return sum(
+        (
+            c.weight * shader.color(c, "Color") * shader.number(c, "Strength")
+            for c in shader.shining("Surface", {"EMISSION"})
+        ),
+        start=np.zeros(3),
+    )
+
+
+def _world(world, receivers, notes, remarks):
+    """The lights of a world, those that are visible to the receivers."""
+    if Shader(world).reaching("Volume"):
+        remarks.add(WORLD_VOLUME, world.name)
+    lights = _skies(world, _light_path(receivers), notes, remarks)
+    if not lights or not receivers or not hasattr(world, "cycles_visibility"):
+        return lights
+    seen = world.cycles_visibility
+    return lights if receivers.take(world.name, seen.diffuse, seen.scatter, None, remarks) else []
+
+
+def _light_path(receivers):
+    """{output of Light Path: its value} for light from the world on its way to the receivers."""
+    surfaces = ON_SURFACES if receivers is None or receivers.has_surfaces else {}
+    volumes = IN_VOLUMES if receivers is None or receivers.has_volumes else {}
+    return surfaces | volumes
+
+
+def _skies(world, path, notes, remarks):
     """The lights of a world's pictures, by direction, and its other colours as one even sky."""
-    shader = Shader(world, LightError)
+    shader = LightShader(world, path)
     even, lights = np.zeros(3), []
-    for closure in shader.closures("Surface", {"BACKGROUND"}) if world else ():
+    for closure in shader.shining("Surface", {"BACKGROUND"}):
         strength = closure.weight * shader.number(closure, "Strength")
         mean = strength * shader.color(closure, "Color")  # refuses what cannot be read
         picture = _picture(shader, closure, notes) if np.any(mean) else None
         if picture is None:
             even += mean
+        elif strength < 0:
+            remarks.add(NEGATIVE, world.name)
         else:
             pixels, turn = picture
             lights += panorama_lights(strength * _grey_if_it_is(pixels[..., :3]), turn)
+    if np.any(even < 0):
+        remarks.add(NEGATIVE, world.name)
+        even = np.maximum(even, 0)
     return lights + ([Sky(_scalar_if_grey(even))] if np.any(even) else [])
 
 
@@ -208,18 +268,6 @@ def _mapping(node, groups):
 def _grey_if_it_is(pixels):
     """(height, width, 3) as (height, width) where all is grey, so that one band is solved."""
     return pixels if np.any(np.ptp(pixels, axis=2)) else pixels[..., 0]
-
-
-def _glow(owner, kind):
-    """(3,): colour times strength of all the nodes of type `kind` that reach the output."""
-    shader = Shader(owner, LightError)
-    return sum(
-        (
-            c.weight * shader.color(c, "Color") * shader.number(c, "Strength")
-            for c in shader.closures("Surface", {kind})
-        ),
-        start=np.zeros(3),
-    )
 
 
 def _scalar_if_grey(color):
