@@ -112,36 +112,36 @@ class Baking(Job):
 
     name, kept = "bake", "nothing was changed"
 
-    def __init__(self, context, objects, options, frames=None, decided=None):
+    def __init__(self, context, objects, options, frames=None, decided=None, frame=None):
         """Read the scene and start; raises as `gather` does.
 
         frames   the `Frames` that this is one of, or None
         decided  what another of them has `Decided`, or None
+        frame    which of them it is
         """
         objects = sources_of(context.scene, objects)
         _refuse_unwritable(objects, options)
         self.options, self.frames = options, frames
         self.scene = context.scene.session_uid
         self.objects = [ob.session_uid for ob in objects]
-        path = frames.path(context.scene.frame_current) if frames else None
-        super().__init__(gather(context, objects, options, path, decided))
+        path = frames.path(frame) if frames else None
+        super().__init__(gather(context, objects, options, path, decided, frame=frame))
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
-        if bpy.app.is_job_running("RENDER"):
-            return "Waits for the render to end"
-        if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in self.found()):
-            return "Waits for Edit Mode to end"
-        return None
+        return why_wait(context, self.found())
 
-    def apply(self, context):
+    def apply(self, context, looks=None):
         """Write the light into the scene: an `Outcome`. Raises a LightingError for a scene that
-        cannot take it any more; then it is as it was, and the file is gone."""
+        cannot take it any more; then it is as it was, and the file is gone.
+
+        looks  {frame: `Look`} of the frames that are there, of which this is one, or None
+        """
         try:
-            scene, objects = self._require()
-            lit = self.result()
-            with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
-                ob = apply(context, objects, self.task, lit, self.frames)
+            with overridden(context, self.scene, self.objects) as objects:
+                _refuse_unwritable(objects, self.options)
+                lit = self.result()
+                ob = apply(context, objects, self.task, lit, self.frames, looks)
                 source = self.task.sources[0]
                 if source.is_volume and len(objects) == 1 and self.frames is None:
                     volume.follow(ob, objects[0], source.place)
@@ -152,18 +152,35 @@ class Baking(Job):
 
     def found(self):
         """The objects as they are now, without those that are gone."""
-        wanted = dict.fromkeys(self.objects)
-        wanted |= {ob.session_uid: ob for ob in bpy.data.objects if ob.session_uid in wanted}
-        return [ob for ob in wanted.values() if ob is not None]
+        return find_objects(self.objects)
 
-    def _require(self):
-        """(scene, objects) as they are now; SceneError where some are gone."""
-        scene = next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
-        objects = [ob for ob in self.found() if scene and ob.name in scene.objects]
-        if len(objects) < len(self.objects):
-            raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
-        _refuse_unwritable(objects, self.options)
-        return scene, objects
+
+def find_objects(numbers):
+    """The objects that Blender gave these numbers for the session, without those that are gone."""
+    wanted = dict.fromkeys(numbers)
+    wanted |= {ob.session_uid: ob for ob in bpy.data.objects if ob.session_uid in wanted}
+    return [ob for ob in wanted.values() if ob is not None]
+
+
+def why_wait(context, objects):
+    """Why the scene cannot take light on `objects` at the moment, or None."""
+    if bpy.app.is_job_running("RENDER"):
+        return "Waits for the render to end"
+    if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in objects):
+        return "Waits for Edit Mode to end"
+    return None
+
+
+@contextmanager
+def overridden(context, scene, numbers):
+    """Inside, `context` has the scene of that number, whatever is in view: the objects of these
+    numbers. SceneError where some are gone."""
+    scene = next((s for s in bpy.data.scenes if s.session_uid == scene), None)
+    objects = [ob for ob in find_objects(numbers) if scene and ob.name in scene.objects]
+    if len(objects) < len(numbers):
+        raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
+    with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
+        yield objects
 
 
 class Estimating(Job):
@@ -181,14 +198,15 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, decided=None):
-    """The task `Light` that the scene poses at the current frame.
+def gather(context, objects, options, path=None, decided=None, frame=None):
+    """The task `Light` that the scene poses at a frame.
 
     path     of the file that it is to write, or None for one that is new
     decided  what another frame has `Decided`, or None
+    frame    of the scene, or None for the current one
     """
     decided = decided or Decided()
-    with _unhidden(context, objects):
+    with _unhidden(context, objects, frame) as frame:
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(
             depsgraph,
@@ -231,23 +249,24 @@ def gather(context, objects, options, path=None, decided=None):
         path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
-            "frame": context.scene.frame_current,
+            "frame": frame,
         },
         decided=decided,
     )
 
 
-def apply(context, objects, task, lit, frames=None):
+def apply(context, objects, task, lit, frames=None, looks=None):
     """Let `objects`, the sources of the task `Light`, show the light that it came to, a `Lit`.
 
     frames  the `Frames` that it is one of, or None
+    looks   {frame: `Look`} of those that are there
     Returns the Volume object that shows it. Raises OutputError for what cannot take it; then the
     scene is as it was.
     """
     how = task.options.strength, task.whole
     surfaces = [objects[number] for number in lit.ambient]
     attribute.write_ambient(surfaces, list(lit.ambient.values()), task.whole)
-    shown = _show_volume(context, objects, task, lit, frames)
+    shown = _show_volume(context, objects, task, lit, frames, looks)
     for ob in surfaces:
         modifier.remove_modifier(ob)
         shading.light_surface(ob, *how)
@@ -363,17 +382,28 @@ def _refuse_unwritable(objects, options):
 
 
 @contextmanager
-def _unhidden(context, objects):
-    """Objects that a bake hid are evaluated only while they are shown."""
+def _unhidden(context, objects, frame=None):
+    """Inside, the scene is at a frame, or the current one where that is None; the frame.
+
+    Objects that a bake hid are evaluated only while they are shown; what moves them, and what they
+    alone use, only where a frame is set after that.
+    """
+    scene = context.scene
+    shown = scene.frame_current, scene.frame_subframe
+    at = shown if frame is None else (frame, 0.0)
     hidden = [ob for ob in objects if ob.hide_viewport]
     for ob in hidden:
         ob.hide_viewport = False
     try:
-        yield
+        if hidden or frame is not None:
+            scene.frame_set(at[0], subframe=at[1])
+        yield at[0]
     finally:
         for ob in hidden:
             ob.hide_viewport = True
-        if hidden:
+        if frame is not None:
+            scene.frame_set(shown[0], subframe=shown[1])
+        elif hidden:
             context.view_layer.update()
 
 
@@ -401,16 +431,14 @@ def _view_layer(context, scene):
     return context.view_layer if context.scene == scene else scene.view_layers[0]
 
 
-def _show_volume(context, objects, task, lit, frames):
+def _show_volume(context, objects, task, lit, frames, looks):
     """A Volume object for the file; it renders only where it stands for volumes."""
     ob = volume.show_volume(context, objects, task.path, frames)
     # An older bake may have had more sources than this one; they have no light now.
     gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects]
     _release(context, gone + volume.lost_sources(context.scene), [])
-    mode, optics = task.options.mode, lit.optics
-    coefficients = optics.sigma_s, optics.sigma_a, optics.g
-    core = lit.domain.voxel_size
-    shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength, lit.lobes)
+    mode = task.options.mode
+    shading.shade_frames(ob, mode, looks or {task.facts["frame"]: lit.look}, task.options.strength)
     volumes = any(source.is_volume for source in task.sources)
     ob.hide_render = not volumes
     ob.hide_viewport = not volumes

@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from ..errors import OutputError
 from ..ours import TAG, is_ours
+from .keys import remove_keys
 from .vdb import is_baked_file
 
 RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
@@ -76,9 +77,21 @@ def show_volume(context, sources, path, frames=None):
     if frames is not None:
         ob.data.frame_start, ob.data.frame_duration = frames.first, frames.last - frames.first + 1
         ob.data.frame_offset = frames.first - 1  # the number of a file is that of its frame
+        ob.data.sequence_mode = "EXTEND"  # before and after, the nearest frame stays
     ob.parent = None
     ob.matrix_world = Matrix()
     return ob
+
+
+def shows(scene, sources, frames):
+    """Whether the light of the objects `sources` is shown by just these `Frames`."""
+    return any(
+        baked_path(ob).parent == frames.folder
+        and ob.data.frame_start == frames.first
+        and ob.data.frame_duration == frames.last - frames.first + 1
+        for ob in baked_volumes(scene)
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources)
+    )
 
 
 def follow(ob, source, place):
@@ -122,6 +135,8 @@ def remove_baked(ob):
     """Remove a Volume object that `show_volume` made, with its datablock and our materials."""
     volume = ob.data
     materials = [material for material in volume.materials if material and is_ours(material)]
+    for material in materials:
+        remove_keys(material.node_tree)
     bpy.data.objects.remove(ob)
     # The user may have put our data to use elsewhere; then it stays.
     for block in (volume, *materials):

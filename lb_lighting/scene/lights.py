@@ -107,8 +107,9 @@ def _world_matrix(ob, depsgraph):
     # Blender places nothing that is hidden; a copy that is shown for a moment tells where it is.
     twin = ob.copy()
     twin.hide_viewport = False
-    depsgraph.scene.collection.objects.link(twin)
-    depsgraph.update()
+    scene = depsgraph.scene
+    scene.collection.objects.link(twin)
+    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)  # its keys, too
     matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
     bpy.data.objects.remove(twin)
     depsgraph.update()

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import EmptyError, SceneError
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
 from . import smoke, volumes, voxelize
@@ -149,7 +149,7 @@ def open_sources(objects, reader):
         raise SceneError("Nothing is selected; select a volume, a smoke domain or a mesh.")
     for ob in objects:
         if not ob.visible_get(view_layer=reader.depsgraph.view_layer):
-            raise SceneError(f"'{ob.name}' is hidden; show it to light it.")
+            raise EmptyError(f"'{ob.name}' is hidden; show it to light it.")
     surfaces = [ob for ob in objects if _is_surface(ob)]
     parts = defaultdict(list)
     for part in world_parts(reader.depsgraph, surfaces):
@@ -169,7 +169,7 @@ def _open(ob, parts, reader):
     if not parts and volumes.has_volume(ob, reader.depsgraph):
         return VolumeSource(ob, reader)
     if not parts:
-        raise SceneError(
+        raise EmptyError(
             f"'{ob.name}' has neither a volume nor faces; "
             "select a volume, a smoke domain or a mesh."
         )
@@ -447,11 +447,11 @@ def mixture(shares):
     Shares of the same optics keep them, and their densities are summed. Otherwise the density is
     the extinction coefficient, 1/m, of each share's densest band, summed, and the optics are the
     shares' per such extinction, averaged by how much of it there is of each: so every share keeps
-    its own extinction, and only albedo and g are means. SceneError for no density.
+    its own extinction, and only albedo and g are means. EmptyError for no density.
     """
     shares = _present(shares)
     if not shares:
-        raise SceneError(
+        raise EmptyError(
             "There is no density to light here; check the grid, the frame, the region and the "
             "material."
         )

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lighting a scene: its voxels are filled, it is solved, and the file written."""
 
-from dataclasses import asdict, dataclass
+import json
+from dataclasses import asdict, dataclass, field, fields
 from time import perf_counter
 
 import numpy as np
 
 from .. import exchange
 from ..errors import SceneError
+from ..essence import essence
 from ..options import Options
 from ..output.ambient import ambient_grids
-from ..output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
+from ..output.look import Look
+from ..output.vdb import EMISSION_GRID, leftovers, new_token, volume_light, write_vdb
 from ..scene.sources import mixture, occluders, with_shadows
 from ..transport import gather
 from ..transport.field import Report
@@ -21,9 +24,10 @@ from ..transport.solver import Settings, require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
-# In the file's metadata: of the options; how often its light was gathered;
-# and whether surfaces show all light.
-ESSENCE, GATHERED, WHOLE = "essence", "gathered", "whole"
+# In the file's metadata: what it was made of, see `Light.essences`; the settings that it was solved
+# by; how often its light was gathered; whether surfaces show all light; its `Look`.
+ESSENCE, LIGHTS, SOURCES = "essence", "essence_lights", "essence_sources"
+SETTINGS, GATHERED, WHOLE, LOOK = "settings", "gathered", "whole", "look"
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
 PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
@@ -43,6 +47,14 @@ class Decided:
     settings: Settings | None = None
     times: int | None = None
     whole: bool | None = None
+
+    @classmethod
+    def read(cls, stamp):
+        """What the frame with the metadata `stamp` had."""
+        values = json.loads(stamp.get(SETTINGS, "{}"))
+        known = {f.name: values[f.name] for f in fields(Settings) if f.name in values}
+        settings = Settings(**known) if known else None
+        return cls(settings, stamp.get(GATHERED), stamp.get(WHOLE))
 
 
 @dataclass
@@ -86,6 +98,13 @@ class Lit:
     ambient: dict
     notes: list
 
+    @property
+    def look(self):
+        """The `Look` of the lit volume."""
+        optics = self.optics
+        coefficients = optics.sigma_s, optics.sigma_a, optics.g
+        return Look.of(*coefficients, self.beams, self.domain.voxel_size, self.lobes)
+
 
 @dataclass
 class Light:
@@ -101,6 +120,7 @@ class Light:
     path      of the .vdb
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     decided   what another frame has `Decided`; whether surfaces show all light is so in any case
+    token     of this bake, which tells its file from those of others
     """
 
     options: Options
@@ -113,6 +133,7 @@ class Light:
     path: str
     facts: dict
     decided: Decided
+    token: str = field(default_factory=new_token)
 
     @property
     def whole(self):
@@ -122,17 +143,27 @@ class Light:
     @property
     def scraps(self):
         """The files that are there only in part, or in vain, where the task does not end well."""
-        return [self.path, unfinished(self.path)]
+        return leftovers(self.path, self.token)
+
+    def essences(self):
+        """{name: text}: what the result depends on, by what the user would change."""
+        made = self.sources, self.box, self.surfaces, self.readers
+        return {
+            ESSENCE: self.options.essence,
+            LIGHTS: essence(self.lights),
+            SOURCES: essence(*made),
+        }
 
     def run(self, tell, folder):
         """A `Lit`; the `Field` goes to the file FIELD in `folder`."""
         tell(stage="Filling voxels", fraction=0.0)
+        made_of = self.essences()
         problem = self.problem()
         settings, planned = self._settings(problem, tell)
         field = self._solve(problem, settings, tell)
         tell(stage="Writing", fraction=WRITE)
         exchange.save(folder / FIELD, field)
-        return self.keep(problem, field, planned)
+        return self.keep(problem, field, planned, {**made_of, SETTINGS: _text_of(settings)})
 
     def _settings(self, problem, tell):
         """(`Settings`, the `Plan` that they are of or None)."""
@@ -153,20 +184,25 @@ class Light:
         scattered = bool(self.surfaces or self.readers) and not self.whole
         return plan(problem.medium, problem.lights, quality, device, fixed, scattered=scattered)
 
-    def keep(self, problem, field, planned=None):
-        """Write the file of the `Field` that a `Problem` has: a `Lit`."""
+    def keep(self, problem, field, planned=None, made_of=None):
+        """Write the file of the `Field` that a `Problem` has: a `Lit`.
+
+        made_of  {name: text} that the file is to carry, too
+        """
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
         falling = field.with_unscattered() if self.whole else field
         read = ambient_grids(falling, occlusion) if self.readers else None
-        beams = self._write(problem, field, read, planned)
+        light, others, beams = volume_light(
+            field, problem.lights, self.options.mode, problem.medium.g
+        )
         ambient = {
             number: vertices.light(falling, occlusion)
             for number, vertices in self.surfaces.items()
             if self.sources[number].shows_light
         }
         optics = problem.shown[1]
-        return Lit(
+        lit = Lit(
             field.domain,
             field.report,
             planned,
@@ -177,6 +213,8 @@ class Light:
             ambient,
             self.reader.notes,
         )
+        self._write(problem, lit, light, others, read, made_of or {})
+        return lit
 
     def problem(self):
         """The `Problem` that the scene poses."""
@@ -282,20 +320,16 @@ class Light:
         field.scattered = gather.gather(medium, lights, field, device, times, progress)
         field.report.seconds["gather"] = perf_counter() - start
 
-    def _write(self, problem, field, read, planned):
-        """Write the .vdb, with the grids that a modifier is to read, or None; the beams that it has
-        grids of."""
-        light, others, beams = volume_light(
-            field, problem.lights, self.options.mode, problem.medium.g
-        )
+    def _write(self, problem, lit, light, others, read, made_of):
+        """Write the .vdb of a `Lit`, with the grids that a modifier is to read, or None."""
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
-        stamp = self._stamp(problem.medium, field.report)
-        stamp |= {GATHERED: _times(field), WHOLE: self.whole}
-        if planned is not None:
-            stamp["expected_error"] = planned.error
-        write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
-        return beams
+        stamp = self._stamp(problem.medium, lit.report) | made_of
+        stamp |= {GATHERED: lit.times, WHOLE: self.whole, LOOK: lit.look.text}
+        if lit.plan is not None:
+            stamp["expected_error"] = lit.plan.error
+        density = problem.shown[0]
+        write_vdb(self.path, lit.domain, density, light, stamp, others, read, self.token)
 
     def _stamp(self, medium, report):
         """What the file was made of and how, flat, for its metadata."""
@@ -306,6 +340,11 @@ class Light:
         }
         spent = {"seconds": sum(report.seconds.values()), ESSENCE: self.options.essence}
         return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
+
+
+def _text_of(settings):
+    """`Settings` as `Decided.read` reads them."""
+    return json.dumps(asdict(settings), default=lambda number: number.item())
 
 
 def _times(field):
