@@ -19,6 +19,7 @@ from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, volume
+from .scene.frames import at_frame
 from .scene.lights import scene_lights
 from .scene.sources import Reader, open_sources
 from .scene.volumes import box_bounds
@@ -206,7 +207,10 @@ def gather(context, objects, options, path=None, decided=None, frame=None):
     frame    of the scene, or None for the current one
     """
     decided = decided or Decided()
-    with _unhidden(context, objects, frame) as frame:
+    around = context.scene.objects.get(options.domain)
+    # Blender keeps what it has read of each frame, and may never end with one that is damaged.
+    unread = [] if frame is None else volume.baked_volumes(context.scene)
+    with at_frame(context, [*objects, *filter(None, [around])], frame, unread) as frame:
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(
             depsgraph,
@@ -379,32 +383,6 @@ def _refuse_unwritable(objects, options):
     attribute.refuse_unwritable(meshes)
     shading.refuse_unwritable(meshes)
     volume.require_writable(folder_of(options))
-
-
-@contextmanager
-def _unhidden(context, objects, frame=None):
-    """Inside, the scene is at a frame, or the current one where that is None; the frame.
-
-    Objects that a bake hid are evaluated only while they are shown; what moves them, and what they
-    alone use, only where a frame is set after that.
-    """
-    scene = context.scene
-    shown = scene.frame_current, scene.frame_subframe
-    at = shown if frame is None else (frame, 0.0)
-    hidden = [ob for ob in objects if ob.hide_viewport]
-    for ob in hidden:
-        ob.hide_viewport = False
-    try:
-        if hidden or frame is not None:
-            scene.frame_set(at[0], subframe=at[1])
-        yield at[0]
-    finally:
-        for ob in hidden:
-            ob.hide_viewport = True
-        if frame is not None:
-            scene.frame_set(shown[0], subframe=shown[1])
-        elif hidden:
-            context.view_layer.update()
 
 
 def _box(context, name):

@@ -67,7 +67,9 @@ def _add(found, thing):
         _add(found, sorted(thing.items(), key=repr))
     elif isinstance(thing, (set, frozenset)):
         _add(found, sorted(thing, key=repr))
-    elif thing is None or isinstance(thing, (str, bytes, int, float, complex, np.generic)):
+    elif isinstance(thing, (float, np.floating)):  # Blender has no more digits
+        found.update(f"float {thing:.7g};".encode())
+    elif thing is None or isinstance(thing, (str, bytes, int, complex, np.generic)):
         found.update(f"{type(thing).__name__} {thing!r};".encode())
     elif isinstance(thing, type) or not hasattr(thing, "__dict__") or hasattr(thing, "__code__"):
         found.update(getattr(thing, "__qualname__", type(thing).__qualname__).encode())

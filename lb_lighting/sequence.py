@@ -213,6 +213,7 @@ class Sequence:
     def _show(self, context):
         """Show the frame that is lit."""
         frame, lit = self.missing[0], self.baking.result()
+        self._write_empty(self.frames.path(frame))
         self.outcome = self.baking.apply(context, self._looks | {frame: lit.look})
         self.is_unused = False
         self.there[self.missing.pop(0)] = lit.look
@@ -230,23 +231,31 @@ class Sequence:
         """The first frame that is missing is empty; its file waits for one to be like."""
         self.empty[self.missing.pop(0)] = {**essences, EMPTY: str(error)}
 
+    def _write_empty(self, like):
+        """Write the files of the frames that are empty, by a whole one: [frame] of these."""
+        waiting = [frame for frame in self.empty if frame not in self.there]
+        for frame in waiting:
+            write_empty(self.frames.path(frame), self.empty[frame], like)
+            self.there[frame] = None
+        return waiting
+
     def _finish(self, context, objects):
         """All frames are there: the `Outcome`."""
         if not self._looks:
             reason = next(iter(self.empty.values()), {EMPTY: "Choose other frames."})[EMPTY]
             raise SceneError(f"There is nothing to light in {_named(list(self.frames))}. {reason}")
         like = self.frames.path(next(iter(self._looks)))
-        for frame, stamp in self.empty.items():
-            write_empty(self.frames.path(frame), stamp, like)
-            self.there[frame] = None
+        shown_anew = self._write_empty(like)
         first, last = self.frames.first, self.frames.last
         if not self.total and volume.shows(context.scene, objects, self.frames):
             raise SceneError(
                 f"The frames {first} to {last} are all baked; choose Overwrite Frames to bake them "
                 "again."
             )
-        if self.outcome is None or self.is_unused:
-            ob = volume.show_volume(context, objects, like, self.frames)
+        if self.outcome is None or self.is_unused or shown_anew:
+            # By a path that is not the latest, for Blender to look for files again.
+            path = self.frames.path(shown_anew[-1]) if shown_anew else like
+            ob = volume.show_volume(context, objects, path, self.frames)
             shading.shade_frames(ob, self.options.mode, self._looks, self.options.strength)
             self.is_unused = False
         outcome = self.outcome or Kept(f"The frames {first} to {last} are all baked", like)

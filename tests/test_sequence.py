@@ -128,15 +128,6 @@ def test_other_options_make_other_frames(scene, fog):
     assert baked_path(baked()).parent != folder
 
 
-def test_lamps_that_move_are_told(scene, fog):
-    sun = bpy.data.objects["sun"]
-    for frame, angle in ((1, 0.0), (3, 1.0)):
-        sun.rotation_euler.x = angle
-        sun.keyframe_insert("rotation_euler", frame=frame)
-    notes = bake_frames(fog).notes
-    assert notes == []
-
-
 def test_a_range_that_ends_before_it_begins_is_refused(scene, fog, tmp_path):
     before = set(tmp_path.iterdir())
     with pytest.raises(SceneError, match="The last frame comes before the first; correct"):
