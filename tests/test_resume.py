@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames that are there already: kept where they are what the scene gives, and baked again else."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -72,18 +73,6 @@ def colors():
     return {frame: mean / mean[0] for frame, mean in means.items()}
 
 
-def test_frames_of_another_light_are_baked_again(scene, fog):
-    bake_frames(fog, last=2)
-    old, before = folder(), tokens()
-    bpy.data.objects["sun"].data.color = (1, 0.5, 0.25)
-    notes = bake_frames(fog, last=3).notes
-    assert f"Baked again, because {REASONS['essence_lights']}: frames 1 to 2." in notes
-    assert not any("Kept" in note for note in notes)
-    assert not set(tokens().values()) & set(before.values())
-    assert folder() != old
-    assert len(list(old.glob("*.vdb"))) == 2  # undo shows them
-
-
 def test_only_frames_that_differ_are_baked_again(scene, fog):
     bake_frames(fog, last=4)
     old, before = folder(), tokens()
@@ -98,6 +87,7 @@ def test_only_frames_that_differ_are_baked_again(scene, fog):
     assert "Kept as before: frames 1 to 2." in notes
     assert f"Baked again, because {REASONS['essence_lights']}: frames 3 to 4." in notes
     assert folder() != old
+    assert len(list(old.glob("*.vdb"))) == 4  # undo shows them
     after = tokens()
     assert [after[frame] == before[frame] for frame in (1, 2, 3, 4)] == [True, True, False, False]
     for frame, color in colors().items():
@@ -108,32 +98,65 @@ def test_only_frames_that_differ_are_baked_again(scene, fog):
 
 def moved(fog):
     fog.location.x = 1
+    return "essence_sources"
 
 
 def of_another_material(fog):
     nodes = fog.active_material.node_tree.nodes
     nodes["Principled Volume"].inputs["Density"].default_value = 1
+    return "essence_sources"
 
 
 def with_other_smoke(fog):
     scenery.write_fog(fog.data.filepath, scenery.ball() / 2)
+    return "essence_sources"
 
 
-def renamed(fog):
+def under_a_red_sun(_fog):
+    bpy.data.objects["sun"].data.color = (1, 0.5, 0.25)
+    return "essence_lights"
+
+
+def under_a_sky(_fog):
+    bpy.context.scene.world = bpy.data.worlds.new("sky")
+    return "essence_lights"
+
+
+def in_smaller_voxels(_fog):
+    bpy.context.scene.lb_lighting.resolution = 10
+    return "essence"
+
+
+def renamed_and_copied(fog):
+    """Another file with the same grids."""
     fog.name = fog.data.name = "smoke"
-    bpy.context.scene.lb_lighting.device = "NumPy"
+    bpy.context.scene.lb_lighting.strength = 2
+    fog.data.filepath = shutil.copy(fog.data.filepath, Path(fog.data.filepath).with_name("b.vdb"))
 
 
 @pytest.mark.parametrize(
-    "change", [moved, of_another_material, with_other_smoke, renamed], ids=lambda f: f.__name__
+    "change",
+    [
+        moved,
+        of_another_material,
+        with_other_smoke,
+        under_a_red_sun,
+        under_a_sky,
+        in_smaller_voxels,
+        renamed_and_copied,
+    ],
+    ids=lambda change: change.__name__,
 )
-def test_what_a_frame_is_made_of_tells_whether_it_is_kept(scene, fog, change):
-    bake_frames(fog, last=1)
-    change(fog)
-    notes = bake_frames(fog, last=2).notes
-    is_kept = change == renamed
-    assert ("Kept as before: frame 1." in notes) == is_kept
-    assert (f"Baked again, because {REASONS['essence_sources']}: frame 1." in notes) != is_kept
+def test_a_frame_tells_what_it_was_made_of(scene, fog, change):
+    before = essences(fog)
+    assert essences(fog) == before
+    differs = change(fog)
+    after = essences(fog)
+    assert [name for name in after if after[name] != before[name]] == [differs] * bool(differs)
+
+
+def essences(ob, **changes):
+    return bake.gather(bpy.context, [ob], Options.of(bpy.context.scene, **changes)).essences()
 
 
 @pytest.mark.parametrize("how", ["ATTRIBUTE", "MODIFIER"])
@@ -141,10 +164,16 @@ def test_what_a_frame_is_made_of_tells_whether_it_is_kept(scene, fog, change):
 def test_showing_light_does_not_change_what_is_lit(scene, how, material):
     scene.lb_lighting.resolution = 8
     leaves = scenery.add_leaves(count=30, material=material)
+    before = essences(leaves, foliage=how)
     bake_frames(leaves, last=1, foliage=how)
-    notes = bake_frames(leaves, last=2, foliage=how).notes
-    assert "Kept as before: frame 1." in notes
-    assert any("light of the last frame" in note for note in notes) == (how == "ATTRIBUTE")
+    assert essences(leaves, foliage=how) == before
+    assert read_metadata(frames()[1]).items() >= before.items()
+
+
+def test_a_mesh_that_keeps_the_light_of_the_last_frame_is_named(scene):
+    scene.lb_lighting.resolution = 8
+    notes = bake_frames(scenery.add_leaves(count=30)).notes
+    assert any(note.startswith("'leaves' shows the light of the last frame") for note in notes)
 
 
 def test_an_essence_tells_contents_apart_and_nothing_else():
@@ -237,17 +266,24 @@ def test_a_larger_range_shows_frames_that_are_there(scene, fog):
     assert (shown.data.frame_start, shown.data.frame_duration) == (1, 2)
 
 
-@pytest.mark.parametrize("left", [1, 1000, -1], ids=lambda n: f"{n} bytes")
-def test_a_damaged_frame_is_baked_again(scene, fog, left):
-    bake_frames(fog)
-    old, before = frames()[2], tokens()
-    old.write_bytes(old.read_bytes()[:left])
-    assert read_whole(old) == {}
-    notes = bake_frames(fog).notes
-    assert f"Baked again, because {UNREADABLE}: frame 2." in notes
-    assert frames()[2] != old  # Blender may have read what it was
+def test_damaged_frames_are_baked_again(scene, fog):
+    bake_frames(fog, last=3)
+    old, before = frames(), tokens()
+    for frame, left in ((2, 1), (3, 1000)):
+        old[frame].write_bytes(old[frame].read_bytes()[:left])
+        assert read_whole(old[frame]) == {}
+    notes = bake_frames(fog, last=3).notes
+    assert f"Baked again, because {UNREADABLE}: frames 2 to 3." in notes
+    assert frames()[2] != old[2]  # Blender may have read what it was
     assert tokens()[1] == before[1]
-    assert read_whole(frames()[2])
+    assert all(read_whole(path) for path in frames().values())
+
+
+def test_a_file_without_its_end_is_not_whole(scene, fog):
+    path = scenery.bake_light(fog).path
+    assert read_whole(path) == read_metadata(path)
+    path.write_bytes(path.read_bytes()[:-1])
+    assert read_whole(path) == {}
 
 
 def test_scraps_of_one_bake_are_not_those_of_another(scene, fog):

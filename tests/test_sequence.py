@@ -59,6 +59,11 @@ def test_frames_are_planned_once(scene, fog):
     assert outcome.plan is None
     stamps = [read_metadata(outcome.path.with_name(name)) for name in frames()]
     assert {stamp["quality"] for stamp in stamps} == {"preview"}
+    stages.clear()
+    fog.data.sequence_mode = "EXTEND"
+    bake_frames(fog, last=4, progress=lambda *now: stages.append(now[0]), quality="preview")
+    assert stages
+    assert not any("Planning" in stage for stage in stages)  # of the frame that was added, either
 
 
 def test_each_frame_has_its_own_light(scene, fog):

@@ -181,10 +181,9 @@ def write_empty(path, metadata, like, token=None):
 def _write(path, grids, metadata, token):
     if path.exists() and not is_baked_file(path):
         raise OutputError(f"{path} was not written by LB Lighting; choose another file name.")
-    token = token or new_token()
-    temporary = unfinished(path, token)
+    temporary = unfinished(path, token or new_token())
     try:
-        _write_checked(temporary, grids, {**metadata, TOKEN: token})
+        _write_checked(temporary, grids, {**metadata, TOKEN: token} if token else metadata)
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(
@@ -210,7 +209,7 @@ def leftovers(path, token):
 
     What another process has written to `path` since is not among them.
     """
-    is_own = _metadata(path).get(STAMP + TOKEN) == token
+    is_own = read_whole(path).get(TOKEN) == token
     return [unfinished(path, token), *([Path(path)] if is_own else [])]
 
 
