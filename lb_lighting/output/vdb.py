@@ -165,7 +165,7 @@ def write_vdb(path, domain, density, light, metadata, others=None, everywhere=No
     _write(Path(path), grids, metadata, token)
 
 
-def write_empty(path, metadata, like, token=None):
+def write_empty(path, metadata, like):
     """Write to `path` what `write_vdb` would where there is nothing at all.
 
     like  path of a whole file that has the same grids
@@ -175,10 +175,10 @@ def write_empty(path, metadata, like, token=None):
         grid = type(other)()
         grid.name, grid.transform, grid.gridClass = other.name, other.transform, other.gridClass
         grids.append(grid)
-    _write(Path(path), grids, metadata, token)
+    _write(Path(path), grids, metadata)
 
 
-def _write(path, grids, metadata, token):
+def _write(path, grids, metadata, token=None):
     if path.exists() and not is_baked_file(path):
         raise OutputError(f"{path} was not written by LB Lighting; choose another file name.")
     temporary = unfinished(path, token or new_token())
