@@ -209,7 +209,7 @@ def gather(context, objects, options, path=None, decided=None, frame=None):
     decided = decided or Decided()
     around = context.scene.objects.get(options.domain)
     # Blender keeps what it has read of each frame, and may never end with one that is damaged.
-    unread = [] if frame is None else volume.baked_volumes(context.scene)
+    unread = [ob for ob in volume.baked_volumes(context.scene) if ob.data.is_sequence]
     with at_frame(context, [*objects, *filter(None, [around])], frame, unread) as frame:
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(

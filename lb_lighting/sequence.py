@@ -13,7 +13,9 @@ from pathlib import Path
 
 from .bake import Baking, find_objects, folder_of, gather, overridden, sources_of, why_wait
 from .errors import EmptyError, OutputError, SceneError
+from .ours import is_overridden
 from .output import shading, volume
+from .output.keys import are_keyed
 from .output.look import Look
 from .output.vdb import new_token, read_whole, unfinished, write_empty
 from .tasks.light import ESSENCE, LIGHTS, LOOK, SOURCES, Decided
@@ -92,7 +94,7 @@ class Sequence:
     @property
     def kept(self):
         """As of a `Baking`."""
-        if not self._done:
+        if self.outcome is None:
             return "nothing was changed"
         return f"{self._done} of {self.total} frames are done and stay"
 
@@ -259,10 +261,10 @@ class Sequence:
             shading.shade_frames(ob, self.options.mode, self._looks, self.options.strength)
             self.is_unused = False
         outcome = self.outcome or Kept(f"The frames {first} to {last} are all baked", like)
-        outcome.notes = [*self._remarks(), *self.notes]
+        outcome.notes = [*self._remarks(objects), *self.notes]
         return outcome
 
-    def _remarks(self):
+    def _remarks(self, objects):
         """[sentence] on the frames that were not simply baked, and on what has no frames."""
         found = []
         for reason in dict.fromkeys(self.again.values()):
@@ -281,6 +283,12 @@ class Sequence:
                 "volumes, and foliage that has its light from the modifier, show that of each."
                 for number in lit.ambient
             )
+        found.extend(
+            f"The keys of '{ob.name}' show it again beside its light; remove those of its "
+            "visibility."
+            for ob in objects
+            if is_overridden(ob, "hide_render") and are_keyed(ob, "hide_viewport", "hide_render")
+        )
         return found
 
     def _move(self, context, objects):

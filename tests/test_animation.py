@@ -127,6 +127,13 @@ def test_a_single_bake_leaves_what_was_changed_without_a_key(scene, tmp_path):
     assert sun.rotation_euler.x == pytest.approx(0.3)
 
 
+def test_keys_that_show_a_source_beside_its_light_are_told(scene, tmp_path):
+    fog = scenery.add_fog(tmp_path)
+    key(fog, "hide_render", frame_1=False, frame_2=False)
+    notes = bake_frames(fog, last=1).notes
+    assert any(note.startswith("The keys of 'fog' show it again") for note in notes)
+
+
 def test_a_moving_source_is_baked_and_shown_where_it_is(scene, tmp_path):
     fog = scenery.add_fog(tmp_path)
     by_keys(fog)

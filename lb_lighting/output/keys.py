@@ -28,13 +28,25 @@ def remove_keys(tree):
     action = tree.animation_data and tree.animation_data.action
     if not action:
         return
-    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    bags = _bags(action)
     for bag in bags:
         for curve in [c for c in bag.fcurves if c.group and c.group.name == GROUP]:
             bag.fcurves.remove(curve)
     if is_ours(action) and not any(len(bag.fcurves) for bag in bags):
         tree.animation_data.action = None
         bpy.data.actions.remove(action)
+
+
+def are_keyed(block, *paths):
+    """Whether there are keys on any of the properties `paths` of a data-block."""
+    action = block.animation_data and block.animation_data.action
+    curves = (curve for bag in _bags(action) for curve in bag.fcurves) if action else ()
+    return any(curve.data_path in paths for curve in curves)
+
+
+def _bags(action):
+    """Those that hold the F-curves of `action`."""
+    return [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
 
 
 def _key(tree, path, index, frames, values):
