@@ -165,7 +165,7 @@ class Sequence:
         elif stamp[ESSENCE] != self.options.essence:  # no need to look at the scene
             self.again[frame] = REASONS[ESSENCE]
         else:
-            now = self._essences(context, objects, frame)
+            now = self._essences(context, objects, frame, Decided.read(stamp))
             changed = [why for name, why in REASONS.items() if stamp[name] != now[name]]
             if changed:
                 self.again[frame] = changed[0]
@@ -175,11 +175,12 @@ class Sequence:
             if self.decided == Decided():
                 self.decided = Decided.read(stamp)
 
-    def _essences(self, context, objects, frame):
+    def _essences(self, context, objects, frame, decided):
         """Those of `Light.essences`, as the scene is at a frame now."""
         try:
             path = self.frames.path(frame)
-            return gather(context, objects, self.options, path, frame=frame).essences()
+            task = gather(context, objects, self.options, path, decided, frame=frame)
+            return task.essences()
         except EmptyError:
             return self._essences_of_nothing
 

@@ -52,10 +52,8 @@ def fresh_frames_folder(folder, source_name):
 
 def frames_folder(scene, sources):
     """The folder of the `Frames` that show the light of the objects `sources`, or None."""
-    for ob in baked_volumes(scene):
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources):
-            return baked_path(ob).parent
-    return None
+    shown = _sequence_of(scene, sources)
+    return baked_path(shown).parent if shown else None
 
 
 def show_volume(context, sources, path, frames=None):
@@ -85,13 +83,19 @@ def show_volume(context, sources, path, frames=None):
 
 def shows(scene, sources, frames):
     """Whether the light of the objects `sources` is shown by just these `Frames`."""
-    return any(
-        baked_path(ob).parent == frames.folder
-        and ob.data.frame_start == frames.first
-        and ob.data.frame_duration == frames.last - frames.first + 1
-        for ob in baked_volumes(scene)
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources)
-    )
+    shown = _sequence_of(scene, sources)
+    if shown is None or baked_path(shown).parent != frames.folder:
+        return False
+    first, count = shown.data.frame_start, shown.data.frame_duration
+    return (first, first + count - 1) == (frames.first, frames.last)
+
+
+def _sequence_of(scene, sources):
+    """The baked Volume object that shows a sequence of the light of just `sources`, or None."""
+    for ob in baked_volumes(scene):
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(sources):
+            return ob
+    return None
 
 
 def follow(ob, source, place):

@@ -24,7 +24,7 @@ def at_frame(context, objects, frame=None, unread=()):
     for data in files:
         data.filepath = ""
     try:
-        if frame is not None or any(map(_is_animated, hidden)):
+        if frame is not None or any(map(is_animated, hidden)):
             scene.frame_set(number, subframe=subframe)
         elif hidden:
             context.view_layer.update()
@@ -40,7 +40,7 @@ def at_frame(context, objects, frame=None, unread=()):
             context.view_layer.update()
 
 
-def _is_animated(ob):
+def is_animated(ob):
     """Whether keys or drivers may change an object from frame to frame, or what moves it."""
     return any(block.animation_data for block in _blocks(ob, set()))
 

@@ -8,6 +8,7 @@ from mathutils import Euler
 from ..errors import LightError
 from ..transport.lights import AreaLight, PointLight, Sky, SpotLight, Sun
 from ..transport.panorama import panorama_lights
+from .frames import is_animated
 from .shaders import Shader, linear_pixels, resolve
 
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
@@ -109,7 +110,9 @@ def _world_matrix(ob, depsgraph):
     twin.hide_viewport = False
     scene = depsgraph.scene
     scene.collection.objects.link(twin)
-    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)  # its keys, too
+    if is_animated(ob):  # keys count only where a frame is set
+        scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    depsgraph.update()
     matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
     bpy.data.objects.remove(twin)
     depsgraph.update()
