@@ -21,6 +21,7 @@ from .job import Job, wait
 from .options import Options
 from .output import attribute, modifier, shading, shading_surfaces, volume
 from .output.ambient import STAND_OFF
+from .scene.frames import at_frame
 from .scene.lights import scene_lights
 from .scene.receivers import Receivers
 from .scene.resample import box_bounds
@@ -117,37 +118,39 @@ class Baking(Job):
 
     name, kept = "bake", "nothing was changed"
 
-    def __init__(self, context, objects, options, frames=None, decided=None):
+    def __init__(self, context, objects, options, frames=None, decided=None, frame=None):
         """Read the scene and start; raises as `gather` does.
 
         frames   the `Frames` that this is one of, or None
         decided  what another of them has `Decided`, or None
+        frame    which of them it is
         """
         objects = sources_of(context.scene, objects)
         volume.require_writable(folder_of(options))
         self.options, self.frames = options, frames
         self.scene = context.scene.session_uid
-        path = frames.path(context.scene.frame_current) if frames else None
-        task = gather(context, objects, options, path, decided, _refuse_unwritable)
+        path = frames.path(frame) if frames else None
+        task = gather(context, objects, options, path, decided, _refuse_unwritable, frame)
         self.objects = [source.uid for source in task.sources]
         super().__init__(task)
 
     def must_wait(self, context):
         """Why the scene cannot take the light at the moment, or None."""
-        if bpy.app.is_job_running("RENDER"):
-            return "Waits for the render to end"
-        if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in self.found()):
-            return "Waits for Edit Mode to end"
-        return None
+        return why_wait(context, self.found())
 
-    def apply(self, context):
+    def apply(self, context, looks=None):
         """Write the light into the scene: an `Outcome`. Raises a LightingError for a scene that
-        cannot take it any more; then it is as it was, and the file is gone."""
+        cannot take it any more; then it is as it was, and the file is gone.
+
+        looks  {frame: `Look`} of the frames that are there, of which this is one, or None
+        """
         try:
-            scene, objects = self._require()
-            lit = self.result()
-            with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
-                ob = apply(context, objects, self.task, lit, self.frames)
+            with overridden(context, self.scene, self.objects) as objects:
+                for own in objects:
+                    _refuse_unwritable(own)
+                volume.require_writable(folder_of(self.options))
+                lit = self.result()
+                ob = apply(context, objects, self.task, lit, self.frames, looks)
                 source = self.task.sources[0]
                 if source.is_volume and len(objects) == 1 and self.frames is None:
                     volume.follow(ob, objects[0], source.place)
@@ -158,20 +161,35 @@ class Baking(Job):
 
     def found(self):
         """The objects as they are now, without those that are gone."""
-        wanted = dict.fromkeys(self.objects)
-        wanted |= {ob.session_uid: ob for ob in bpy.data.objects if ob.session_uid in wanted}
-        return [ob for ob in wanted.values() if ob is not None]
+        return find_objects(self.objects)
 
-    def _require(self):
-        """(scene, objects) as they are now; SceneError where some are gone."""
-        scene = next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
-        objects = [ob for ob in self.found() if scene and ob.name in scene.objects]
-        if len(objects) < len(self.objects):
-            raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
-        for ob in objects:
-            _refuse_unwritable(ob)
-        volume.require_writable(folder_of(self.options))
-        return scene, objects
+
+def find_objects(numbers):
+    """The objects that Blender gave these numbers for the session, without those that are gone."""
+    wanted = dict.fromkeys(numbers)
+    wanted |= {ob.session_uid: ob for ob in bpy.data.objects if ob.session_uid in wanted}
+    return [ob for ob in wanted.values() if ob is not None]
+
+
+def why_wait(context, objects):
+    """Why the scene cannot take light on `objects` at the moment, or None."""
+    if bpy.app.is_job_running("RENDER"):
+        return "Waits for the render to end"
+    if context.mode != "OBJECT" and any(ob.mode == "EDIT" for ob in objects):
+        return "Waits for Edit Mode to end"
+    return None
+
+
+@contextmanager
+def overridden(context, scene, numbers):
+    """Inside, `context` has the scene of that number, whatever is in view: the objects of these
+    numbers. SceneError where some are gone."""
+    scene = next((s for s in bpy.data.scenes if s.session_uid == scene), None)
+    objects = [ob for ob in find_objects(numbers) if scene and ob.name in scene.objects]
+    if len(objects) < len(numbers):
+        raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
+    with context.temp_override(scene=scene, view_layer=_view_layer(context, scene)):
+        yield objects
 
 
 class Estimating(Job):
@@ -189,18 +207,22 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, decided=None, require=None):
-    """The task `Light` that the scene poses at the current frame.
+def gather(context, objects, options, path=None, decided=None, require=None, frame=None):
+    """The task `Light` that the scene poses at a frame.
 
     path     of the file that it is to write, or None for one that is new
     decided  what another frame has `Decided`, or None
     require  see `open_sources`
+    frame    of the scene, or None for the current one
 
     Its `sources` are those of `objects` that can be lit; their `uid` tells which. Notes name the
     others.
     """
     decided = decided or Decided()
-    with _unhidden(context, objects):
+    around = context.scene.objects.get(options.domain)
+    # Blender keeps what it has read of each frame, and may never end with one that is damaged.
+    unread = [ob for ob in volume.baked_volumes(context.scene) if ob.data.is_sequence]
+    with at_frame(context, [*objects, *filter(None, [around])], frame, unread) as frame:
         depsgraph = context.evaluated_depsgraph_get()
         reader = Reader(
             depsgraph,
@@ -213,10 +235,10 @@ def gather(context, objects, options, path=None, decided=None, require=None):
         lit = {source.uid for source in sources}
         objects = [ob for ob in objects if ob.session_uid in lit]
         box = _box(context, options.domain) if options.domain else None
-        readers = decided.readers
-        if readers is None:
-            chosen = options.foliage == "MODIFIER"
-            readers = modifier.readers(objects, sources, depsgraph, chosen, reader.notes)
+        decided = replace(
+            decided, readers=_readers(objects, sources, depsgraph, options, decided, reader.notes)
+        )
+        readers = [n for n, source in enumerate(sources) if decided.readers[source.name]]
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
@@ -246,24 +268,25 @@ def gather(context, objects, options, path=None, decided=None, require=None):
         path=str(path or volume.fresh_path(folder_of(options), objects[0].name)),
         facts={
             "sources": ", ".join(source.name for source in sources),
-            "frame": context.scene.frame_current,
+            "frame": frame,
         },
         decided=decided,
         left_out=[],
     )
 
 
-def apply(context, objects, task, lit, frames=None):
+def apply(context, objects, task, lit, frames=None, looks=None):
     """Let `objects`, the sources of the task `Light`, show the light that it came to, a `Lit`.
 
     frames  the `Frames` that it is one of, or None
+    looks   {frame: `Look`} of those that are there
     Returns the Volume object that shows it. Raises OutputError for what cannot take it; then the
     scene is as it was.
     """
     how = task.options.strength, task.whole
     surfaces = [objects[number] for number in lit.ambient]
     attribute.write_ambient(surfaces, list(lit.ambient.values()), task.whole)
-    shown = _show_volume(context, objects, task, lit, frames)
+    shown = _show_volume(context, objects, task, lit, frames, looks)
     for ob in surfaces:
         modifier.remove_modifier(ob)
         shading_surfaces.light_surface(ob, *how)
@@ -277,6 +300,15 @@ def apply(context, objects, task, lit, frames=None):
             materials = [name and bpy.data.materials.get(name) for name in source.instanced]
             lit.notes.extend(shading_surfaces.light_instances(ob, materials, *how))
     return shown
+
+
+def _readers(objects, sources, depsgraph, options, decided, notes):
+    """{name of a source: whether a modifier is to light it}; what is `decided` stays so."""
+    new = [n for n, source in enumerate(sources) if source.name not in decided.readers]
+    chosen = options.foliage == "MODIFIER"
+    own, of_own = [objects[n] for n in new], [sources[n] for n in new]
+    read = modifier.readers(own, of_own, depsgraph, chosen, notes)
+    return decided.readers | {source.name: n in read for n, source in enumerate(of_own)}
 
 
 def _takes_sky(objects, sources, lights, notes):
@@ -328,21 +360,6 @@ def _refuse_unwritable(ob):
         shading_surfaces.refuse_unwritable([ob])
 
 
-@contextmanager
-def _unhidden(context, objects):
-    """Objects that a bake hid are evaluated only while they are shown."""
-    hidden = [ob for ob in objects if ob.hide_viewport]
-    for ob in hidden:
-        ob.hide_viewport = False
-    try:
-        yield
-    finally:
-        for ob in hidden:
-            ob.hide_viewport = True
-        if hidden:
-            context.view_layer.update()
-
-
 def _box(context, name):
     """(lower, upper), each (3,) m: the bounds of the object `name` in world space."""
     ob = context.scene.objects.get(name)
@@ -371,21 +388,22 @@ def _view_layer(context, scene):
     return context.view_layer if context.scene == scene else scene.view_layers[0]
 
 
-def _show_volume(context, objects, task, lit, frames):
+def _show_volume(context, objects, task, lit, frames, looks):
     """A Volume object for the file; it renders only where it stands for volumes."""
     ob = volume.show_volume(context, objects, task.path, frames)
+    others = len(looks or ()) > 1  # frames, which may show what is left out of this one
     # An older bake may have had more sources than this one; they have no light now.
-    gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects]
+    gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects and not others]
     release(context, gone + volume.lost_sources(context.scene), [])
-    mode, optics = task.options.mode, lit.optics
-    coefficients = optics.sigma_s, optics.sigma_a, optics.g
-    core = lit.domain.voxel_size
-    shading.shade_volume(ob, mode, *coefficients, lit.beams, core, task.options.strength, lit.lobes)
+    mode = task.options.mode
+    shading.shade_frames(ob, mode, looks or {task.facts["frame"]: lit.look}, task.options.strength)
     lost = {task.sources[number] for number in lit.left_out}
     volumes = any(source.is_volume for source in task.sources if source not in lost)
-    ob.hide_render = not volumes
-    ob.hide_viewport = not volumes
+    if volumes or not others:
+        ob.hide_render = ob.hide_viewport = not volumes
     for own, source in zip(objects, task.sources, strict=True):
+        if source in lost and others:
+            continue
         if source.is_volume and mode == "REPLACE" and source not in lost:
             # Blender deselects what is hidden; the next bake is to find it all the same.
             ob.select_set(ob.select_get() or own.select_get())

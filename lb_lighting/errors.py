@@ -33,6 +33,10 @@ class SceneError(LightingError):
     """The scene lacks what was asked of it: no selection, no faces, no such grid or file."""
 
 
+class EmptyError(SceneError):
+    """There is nothing to light at this frame, though there may be at another."""
+
+
 class OutputError(LightingError):
     """A result that cannot be written: a read-only folder, a full disk."""
 

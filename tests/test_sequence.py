@@ -12,7 +12,7 @@ from lb_lighting.bake import Options
 from lb_lighting.errors import SceneError, SolverError
 from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
 from lb_lighting.output.volume import baked_path, baked_volumes
-from lb_lighting.sequence import MOVING, Sequence
+from lb_lighting.sequence import Sequence
 from lb_lighting.ui import running
 from tests import scenery
 from tests.scenery import read_grid
@@ -59,6 +59,11 @@ def test_frames_are_planned_once(scene, fog):
     assert outcome.plan is None
     stamps = [read_metadata(outcome.path.with_name(name)) for name in frames()]
     assert {stamp["quality"] for stamp in stamps} == {"preview"}
+    stages.clear()
+    fog.data.sequence_mode = "EXTEND"
+    bake_frames(fog, last=4, progress=lambda *now: stages.append(now[0]), quality="preview")
+    assert stages
+    assert not any("Planning" in stage for stage in stages)  # of the frame that was added, either
 
 
 def test_each_frame_has_its_own_light(scene, fog):
@@ -126,15 +131,6 @@ def test_other_options_make_other_frames(scene, fog):
     folder = baked_path(baked()).parent
     bake_frames(fog, strength=0.5, resolution=12)
     assert baked_path(baked()).parent != folder
-
-
-def test_lamps_that_move_are_told(scene, fog):
-    sun = bpy.data.objects["sun"]
-    for frame, angle in ((1, 0.0), (3, 1.0)):
-        sun.rotation_euler.x = angle
-        sun.keyframe_insert("rotation_euler", frame=frame)
-    notes = bake_frames(fog).notes
-    assert notes.count(MOVING) == 1
 
 
 def test_a_range_that_ends_before_it_begins_is_refused(scene, fog, tmp_path):

@@ -11,12 +11,9 @@ Cycles would scatter the emission once more and count it twice.
 Surfaces are the affair of `shading_surfaces`.
 """
 
-import math
-
 import bpy
 
 from ..ours import TAG, give_back, is_ours, is_overridden, override
-from ..transport.lights import Sun
 from .closures import is_clear
 from .groups import (
     BEAM_GROUP,
@@ -27,6 +24,8 @@ from .groups import (
     moments_group,
     volume_group,
 )
+from .keys import remove_keys, set_values
+from .look import Look
 from .nodes import new_material
 from .shading_surfaces import is_lit
 from .vdb import AXES, direct_grid, forward_grid
@@ -88,50 +87,71 @@ def show_source(ob):
 def shade_volume(ob, mode, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, strength=1.0, lobes=None):
     """Give the baked Volume object `ob` the material that shows its light.
 
-    mode              "REPLACE" or "ADD"
-    sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, scalar or (3,)
-    g                 mean cosine of the scattering angle, scalar or (3,)
-    beams             the `Sun`, `PointLight` or `SpotLight` of each grid `direct_grid(1)` ...
-                      and `forward_grid(1)` ...
-    core              m, that of the falloff of points and spots: an edge of a voxel
-    strength          factor on the light, dimensionless
-    lobes             mean cosine, scalar or (3,), of what `forward_grid`s are scattered to, where
-                      that was gathered and the file has each `moment_grid`
+    mode      "REPLACE" or "ADD"
+    strength  factor on the light, dimensionless
+
+    For the others see `Look.of`.
+    """
+    look = Look.of(sigma_s, sigma_a, g, beams, core, lobes)
+    shade_frames(ob, mode, {0: look}, strength)
+
+
+def shade_frames(ob, mode, looks, strength=1.0):
+    """As `shade_volume`, where every frame of a sequence has its own `Look`: {frame: Look}.
+
+    What differs between them has a key in each of these frames, and stays until the next.
     """
     volume_group()  # one that an older file has is brought up to date
     material = _volume_material(ob.data)
-    nodes = material.node_tree.nodes
-    for node in [node for node in nodes if is_ours(node)]:
-        nodes.remove(node)
-    inputs = next(node for node in nodes if node.type == "GROUP").inputs
+    tree = material.node_tree
+    remove_keys(tree)
+    for node in [node for node in tree.nodes if is_ours(node)]:
+        tree.nodes.remove(node)
+    inputs = next(node for node in tree.nodes if node.type == "GROUP").inputs
     inputs["Strength"].default_value = strength
-    inputs["Sigma S"].default_value = _triple(sigma_s)
-    inputs["Sigma A"].default_value = _triple(sigma_a)
-    inputs["G"].default_value = _triple(g)
     inputs["Replace"].default_value = mode == "REPLACE"
+    once = {frame: look.g for frame, look in looks.items()}
+    set_values(tree, inputs["Sigma S"], {frame: look.sigma_s for frame, look in looks.items()})
+    set_values(tree, inputs["Sigma A"], {frame: look.sigma_a for frame, look in looks.items()})
+    set_values(tree, inputs["G"], once)
     target = inputs["Direct"]
-    once = _triple(g)
+    if any(look.lobes for look in looks.values()):
+        target = _insert_moments(tree, target)
     # Light that has scattered before goes about the way of the beam, its mean cosine to that is g.
-    twice = tuple(v * v for v in once) if lobes is None else _triple(lobes)
-    if lobes is not None:
-        target = _insert_moments(material.node_tree, target)
-    kinds = [(direct_grid, once), *([(forward_grid, twice)] if max(once) > 0 else [])]
-    grids = [(grid(n), beam, own) for n, beam in enumerate(beams, 1) for grid, own in kinds]
-    for number, (grid, beam, own) in enumerate(grids, 1):
-        target = _insert_beam(material.node_tree, target, number, grid, beam, core, own)
+    twice = {n: look.lobes or tuple(g * g for g in look.g) for n, look in looks.items()}
+    is_forward = max(map(max, once.values())) > 0
+    kinds = [(direct_grid, once), *([(forward_grid, twice)] if is_forward else [])]
+    count = 0
+    for number, beams in enumerate(_by_number(looks), 1):
+        for grid, own in kinds:
+            for beams_of_kind in _by_kind(beams):
+                count += 1
+                target = _insert_beam(tree, target, count, grid(number), beams_of_kind, own)
 
 
 def remove_unused():
-    """Remove our materials and node groups that nothing uses."""
-    for blocks in (bpy.data.materials, bpy.data.node_groups):
+    """Remove our materials, node groups and actions that nothing uses."""
+    for blocks in (bpy.data.materials, bpy.data.node_groups, bpy.data.actions):
         while unused := [block for block in blocks if is_ours(block) and not block.users]:
             bpy.data.batch_remove(unused)  # which may have been all that used another
 
 
-def _triple(value):
-    """A spectral value as three bands."""
-    value = list(value) if hasattr(value, "__len__") else [value]
-    return value * 3 if len(value) == 1 else value
+def _by_number(looks):
+    """[{frame: beam}] of each number, of the frames that have one; see `Look.beams`."""
+    most = max(len(look.beams) for look in looks.values())
+    return [
+        {frame: look.beams[n] for frame, look in looks.items() if n < len(look.beams)}
+        for n in range(most)
+    ]
+
+
+def _by_kind(beams):
+    """[{frame: beam or None}], suns and lamps apart; None where a frame has the other kind."""
+    kinds = dict.fromkeys("Position" in beam for beam in beams.values())
+    return [
+        {frame: beam if ("Position" in beam) == kind else None for frame, beam in beams.items()}
+        for kind in kinds
+    ]
 
 
 def _volume_material(volume):
@@ -150,9 +170,13 @@ def _volume_material(volume):
     return material
 
 
-def _insert_beam(tree, target, number, name, beam, core, g):
+def _insert_beam(tree, target, number, name, beams, g):
     """Add a beam's grid, the `number`-th, from 1, to the socket `target`; the socket for the next
-    one."""
+    one.
+
+    beams  {frame: beam or None}, all of one kind; None where the grid holds another kind's light
+    g      {frame: mean cosine of the scattering angle, (3,)}
+    """
     x, y = -250 * number, -300
 
     def new(kind, down):
@@ -165,25 +189,31 @@ def _insert_beam(tree, target, number, name, beam, core, g):
     node.location.x = x
     node.node_tree = beam_group()
     node.label = name
-    node.inputs["G"].default_value = g
+    set_values(tree, node.inputs["G"], g)
     grid = new("ShaderNodeAttribute", 0)
     grid.attribute_name = name
     light = grid.outputs["Vector"]
-    if isinstance(beam, Sun):
-        length = math.hypot(*beam.direction)
-        for axis, component in zip(AXES, beam.direction, strict=True):
-            node.inputs[axis].default_value = (component / length,) * 3
-    else:
-        lamp = new("ShaderNodeGroup", 200)
-        lamp.node_tree = lamp_group()
-        lamp.inputs["Position"].default_value = beam.position
-        lamp.inputs["Radius"].default_value = beam.radius
-        lamp.inputs["Core"].default_value = core
-        lamp.inputs["Peak"].default_value = beam.peak(core)
-        tree.links.new(light, lamp.inputs["Intensity"])
-        light = lamp.outputs["Light"]
+    known = {frame: beam for frame, beam in beams.items() if beam is not None}
+    if len(known) < len(beams):
+        share = new("ShaderNodeVectorMath", 400)
+        share.operation = "SCALE"
+        shown = {frame: float(beam is not None) for frame, beam in beams.items()}
+        set_values(tree, share.inputs["Scale"], shown)
+        tree.links.new(light, share.inputs[0])
+        light = share.outputs["Vector"]
+    values = {
+        name: {n: beam[name] for n, beam in known.items()} for name in next(iter(known.values()))
+    }
+    told = node
+    if "Position" in values:
+        told = new("ShaderNodeGroup", 200)
+        told.node_tree = lamp_group()
+        tree.links.new(light, told.inputs["Intensity"])
+        light = told.outputs["Light"]
         for axis in AXES:
-            tree.links.new(lamp.outputs[axis], node.inputs[axis])
+            tree.links.new(told.outputs[axis], node.inputs[axis])
+    for name, by_frame in values.items():
+        set_values(tree, told.inputs[name], by_frame)
     tree.links.new(light, node.inputs["Light"])
     tree.links.new(node.outputs["Radiance"], target)
     return node.inputs["Others"]

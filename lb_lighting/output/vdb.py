@@ -5,6 +5,7 @@ Needs no Blender, and is written by the solver's process.
 """
 
 import os
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ DENSITY_GRID = "density"
 EMISSION_GRID = "lb_emission"  # W/(m^3 sr), what the medium shines with by itself
 CREATOR = "LB Lighting"
 STAMP = "lb_lighting:"  # keeps our metadata apart from OpenVDB's own keys (name, class, ...)
+TOKEN = "token"  # of the bake that wrote the file
+END = b"\0LB Lighting wrote all of this."  # of a file, which no reader sees
 
 # Cubic interpolation, the widest that Cycles has, reads two voxels away.
 MARGIN = 2
@@ -140,7 +143,7 @@ def forward_grid(number):
     return f"lb_forward_{number}"
 
 
-def write_vdb(path, domain, density, light, metadata, others=None, everywhere=None):
+def write_vdb(path, domain, density, light, metadata, others=None, everywhere=None, token=None):
     """Write the grids `density`, `lb_light` and others to `path`, whole or not at all.
 
     domain    the `Domain` of all
@@ -149,20 +152,38 @@ def write_vdb(path, domain, density, light, metadata, others=None, everywhere=No
     metadata  {name: str, int or float}, the settings that made it, stamped on file and grids
     others    {name: (1 or 3, nx, ny, nz)}, see `volume_light`
     everywhere  {name: the same, or (nx, ny, nz)}, see `ambient_grids`: kept in all voxels
+    token     of the bake, which tells its files from those that other processes write, see
+              `new_token`; or None
 
     Other light is kept within two voxels of any density, continued outwards at the domain's
     faces, so that interpolation does not darken the border of a cloud.
     Raises OutputError for a folder or disk that cannot take the file, and for a file
     already there that is not ours.
     """
-    path = Path(path)
+    grids = _grids(domain, density, {LIGHT_GRID: light} | (others or {}))
+    grids += [_full_grid(name, domain, v) for name, v in (everywhere or {}).items()]
+    _write(Path(path), grids, metadata, token)
+
+
+def write_empty(path, metadata, like):
+    """Write to `path` what `write_vdb` would where there is nothing at all.
+
+    like  path of a whole file that has the same grids
+    """
+    grids = []
+    for other in openvdb.readAllGridMetadata(str(like)):
+        grid = type(other)()
+        grid.name, grid.transform, grid.gridClass = other.name, other.transform, other.gridClass
+        grids.append(grid)
+    _write(Path(path), grids, metadata)
+
+
+def _write(path, grids, metadata, token=None):
     if path.exists() and not is_baked_file(path):
         raise OutputError(f"{path} was not written by LB Lighting; choose another file name.")
-    temporary = unfinished(path)
+    temporary = unfinished(path, token or new_token())
     try:
-        grids = _grids(domain, density, {LIGHT_GRID: light} | (others or {}))
-        grids += [_full_grid(name, domain, v) for name, v in (everywhere or {}).items()]
-        _write_checked(temporary, grids, metadata)
+        _write_checked(temporary, grids, {**metadata, TOKEN: token} if token else metadata)
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(
@@ -173,9 +194,34 @@ def write_vdb(path, domain, density, light, metadata, others=None, everywhere=No
             temporary.unlink()
 
 
-def unfinished(path):
-    """Where `write_vdb` keeps the file that is to be `path` until it is whole."""
-    return Path(path).with_name(f".{Path(path).name}.part")
+def new_token():
+    """A text that no other bake has."""
+    return uuid.uuid4().hex[:12]
+
+
+def unfinished(path, token):
+    """Where the bake of that token keeps the file that is to be `path` until it is whole."""
+    return Path(path).with_name(f".{Path(path).name}.{token}.part")
+
+
+def leftovers(path, token):
+    """[Path]: the files that the bake of that token has made of `path`, whole or not.
+
+    What another process has written to `path` since is not among them.
+    """
+    is_own = read_whole(path).get(TOKEN) == token
+    return [unfinished(path, token), *([Path(path)] if is_own else [])]
+
+
+def read_whole(path):
+    """As `read_metadata`, but nothing of a file that is damaged, missing or not ours."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(-len(END), os.SEEK_END)
+            is_whole = file.read() == END
+        return read_metadata(path) if is_whole else {}
+    except (OSError, OutputError):
+        return {}
 
 
 def read_metadata(path):
@@ -195,7 +241,7 @@ def _metadata(path):
     """{name: value} of a file, and nothing of one that cannot be read."""
     try:
         return openvdb.readMetadata(str(path))
-    except OSError:
+    except Exception:  # what OpenVDB makes of a damaged file is anything
         return {}
 
 
@@ -250,10 +296,10 @@ def _write_checked(path, grids, metadata):
     for grid in grids:
         grid.updateMetadata(stamps)
     openvdb.write(str(path), grids, {"creator": CREATOR, **stamps})
-    # OpenVDB truncates silently on a full disk; one byte more, which its readers ignore,
-    # makes the system say so, if the disk is still full.
+    # OpenVDB truncates silently on a full disk; some bytes more, which its readers ignore, make
+    # the system say so, and tell what is whole.
     with open(path, "ab") as file:
-        file.write(b"\0")
+        file.write(END)
         file.flush()
         os.fsync(file.fileno())
     try:  # after a part that was not written nothing is, so the last grid tells of all

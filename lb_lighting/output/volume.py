@@ -14,6 +14,7 @@ from mathutils import Matrix
 from ..errors import OutputError
 from ..ours import TAG, is_ours
 from ..scene.sources import may_be_lit
+from .keys import remove_keys
 from .vdb import is_baked_file
 
 LONGEST_NAME = 48  # letters, of up to 4 bytes; file systems take names of 255 bytes
@@ -65,10 +66,8 @@ def fresh_frames_folder(folder, source_name):
 
 def frames_folder(scene, sources):
     """The folder of the `Frames` that show the light of the objects `sources`, or None."""
-    for ob in baked_volumes(scene):
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(filter(may_be_lit, sources)):
-            return baked_path(ob).parent
-    return None
+    shown = _sequence_of(scene, sources)
+    return baked_path(shown).parent if shown else None
 
 
 def show_volume(context, sources, path, frames=None):
@@ -96,9 +95,27 @@ def show_volume(context, sources, path, frames=None):
     if frames is not None:
         ob.data.frame_start, ob.data.frame_duration = frames.first, frames.last - frames.first + 1
         ob.data.frame_offset = frames.first - 1  # the number of a file is that of its frame
+        ob.data.sequence_mode = "EXTEND"  # before and after, the nearest frame stays
     ob.parent = None
     ob.matrix_world = Matrix()
     return ob
+
+
+def shows(scene, sources, frames):
+    """Whether the light of the objects `sources` is shown by just these `Frames`."""
+    shown = _sequence_of(scene, sources)
+    if shown is None or baked_path(shown).parent != frames.folder:
+        return False
+    first, count = shown.data.frame_start, shown.data.frame_duration
+    return (first, first + count - 1) == (frames.first, frames.last)
+
+
+def _sequence_of(scene, sources):
+    """The baked Volume object that shows a sequence of the light of just `sources`, or None."""
+    for ob in baked_volumes(scene):
+        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(filter(may_be_lit, sources)):
+            return ob
+    return None
 
 
 def follow(ob, source, place):
@@ -180,6 +197,8 @@ def remove_baked(ob):
     """Remove a Volume object that `show_volume` made, with its datablock and our materials."""
     volume = ob.data
     materials = [material for material in volume.materials if material and is_ours(material)]
+    for material in materials:
+        remove_keys(material.node_tree)
     bpy.data.objects.remove(ob)
     # The user may have put our data to use elsewhere; then it stays.
     for block in (volume, *materials):

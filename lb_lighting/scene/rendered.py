@@ -3,6 +3,8 @@
 
 import bpy
 
+from .frames import is_animated
+
 
 def rendered_objects(layer):
     """{original object: None}, in order, of all in a layer collection that renders show."""
@@ -23,7 +25,10 @@ def world_matrix(ob, depsgraph):
     # Blender places nothing that is hidden; a copy that is shown for a moment tells where it is.
     twin = ob.copy()
     twin.hide_viewport = False
-    depsgraph.scene.collection.objects.link(twin)
+    scene = depsgraph.scene
+    scene.collection.objects.link(twin)
+    if is_animated(ob):  # keys count only where a frame is set
+        scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     depsgraph.update()
     matrix = twin.evaluated_get(depsgraph).matrix_world.copy()
     bpy.data.objects.remove(twin)

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import EmptyError, SceneError
 from .resample import Cells, box_bounds
 from .volumes import world_matrix
 
@@ -30,7 +30,7 @@ def read_grid(ob, depsgraph, name):
     evaluated, settings = _simulated(ob, depsgraph)
     known = grid_names(ob, depsgraph)
     if name not in known:
-        raise SceneError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(known)}.")
+        raise EmptyError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(known)}.")
     values = _cells(getattr(settings, f"{name}_grid"), 1, settings.domain_resolution)[..., 0]
     # With an adaptive domain the evaluated box is the part that is being simulated.
     box = np.array(evaluated.bound_box)
@@ -91,7 +91,7 @@ def _simulated(ob, depsgraph):
     # A cache that is not baked yet has the grids of the first frame, without any smoke.
     density = _cells(settings.density_grid, 1, settings.domain_resolution)
     if density is None or not density.any():
-        raise SceneError(
+        raise EmptyError(
             f"There is no smoke in '{ob.name}' at this frame; bake it, or go to a later frame."
         )
     return evaluated, settings

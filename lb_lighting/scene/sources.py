@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import LightingError, SceneError
+from ..errors import EmptyError, LightingError, SceneError
 from ..ours import is_ours
 from ..transport.lights import Sun
 from ..transport.medium import PRESETS, Optics
@@ -220,11 +220,11 @@ def _refuse(hidden, neither, failed):
     if failed:
         raise failed[0][1]
     if neither:
-        raise SceneError(
+        raise EmptyError(
             f"'{neither[0].name}' has neither a volume nor faces; "
             "select a volume, a smoke domain or a mesh."
         )
-    raise SceneError(f"'{hidden[0].name}' is hidden; show it to light it.")
+    raise EmptyError(f"'{hidden[0].name}' is hidden; show it to light it.")
 
 
 def _skipped(objects, they, it):
@@ -663,13 +663,13 @@ def mixture(shares, shines=False):
 
     shines  whether some of it shines, which may be all that it does: the optics are 0 then
 
-    SceneError where there is neither density nor anything that shines.
+    EmptyError where there is neither density nor anything that shines.
     """
     places, shares = shares, _present(shares)
     if not shares and shines:
         return _total(share.density for share in places), Optics(0.0, 0.0, 0.0)
     if not shares:
-        raise SceneError(
+        raise EmptyError(
             "There is no density to light here; check the grid, the frame, the region and the "
             "material."
         )

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import openvdb
 
-from ..errors import SceneError
+from ..errors import EmptyError, SceneError
+from ..essence import content_of_file, content_of_grid
 from .sparse import SparseCells
 
 
@@ -38,6 +39,13 @@ class Grid:
                 "numbers, or choose another."
             ) from error
 
+    @property
+    def essence(self):
+        """What the grid holds, wherever it lies."""
+        if self.made is None:
+            return self.name, content_of_file(self.path)
+        return self.name, _index_to_object(self.made), content_of_grid(self.made)
+
 
 def grid_names(ob, depsgraph):
     """Names of the grids that the original object `ob` shows at the current frame."""
@@ -48,12 +56,13 @@ def grid_names(ob, depsgraph):
 def find_grid(ob, depsgraph, name="density"):
     """The `Grid` called `name` of the original object `ob` at the current frame.
 
-    Raises SceneError for a file that cannot be read, or a name that does not exist.
+    Raises EmptyError for a file that cannot be read, or a name that does not exist: another frame
+    may have them.
     """
     geometry, grids = _loaded(ob, depsgraph)
     names = [grid.name for grid in grids]
     if name not in names:
-        raise SceneError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(names)}.")
+        raise EmptyError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(names)}.")
     if grids.frame_filepath and not ob.modifiers:
         return Grid(name, grids.frame_filepath)
     with tempfile.TemporaryDirectory() as folder:
@@ -135,20 +144,21 @@ def _loaded(ob, depsgraph):
     if geometry is None:
         raise SceneError(f"'{ob.name}' has no volume; choose a Volume object or one that makes it.")
     grids = geometry.volume.grids
-    if not grids.load():
-        raise SceneError(
+    # The error of an earlier frame stays with the grids of this one.
+    if not grids.load() and not len(grids):
+        raise EmptyError(
             f"The volume file '{geometry.volume.filepath}' of '{ob.name}' cannot be read "
             f"({grids.error_message}); correct its path."
         )
     if not len(grids):
-        raise SceneError(f"The volume of '{ob.name}' has no grids; choose a file that has some.")
+        raise EmptyError(f"The volume of '{ob.name}' has no grids; choose a file that has some.")
     return geometry, grids
 
 
 def _active_box(grid):
     """The first and the last active voxel, (3,) int each."""
     if not grid.activeVoxelCount():
-        raise SceneError(f"The grid '{grid.name}' is empty; choose one with active voxels.")
+        raise EmptyError(f"The grid '{grid.name}' is empty; choose one with active voxels.")
     return tuple(map(np.array, grid.evalActiveVoxelBoundingBox()))
 
 

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lighting a scene: its voxels are filled, it is solved, and the file written."""
 
-from dataclasses import asdict, dataclass
+import json
+from dataclasses import asdict, dataclass, field, fields
 from time import perf_counter
 
 import numpy as np
 
 from .. import exchange
 from ..errors import LightingError, SceneError
+from ..essence import essence
 from ..options import Options
 from ..output.ambient import ambient_grids
-from ..output.vdb import EMISSION_GRID, unfinished, volume_light, write_vdb
+from ..output.look import Look
+from ..output.vdb import EMISSION_GRID, leftovers, new_token, volume_light, write_vdb
 from ..scene.sources import mixture, occluders, with_shadows
 from ..transport import gather
 from ..transport.device import troubles
@@ -23,9 +26,11 @@ from ..transport.solver import Settings, require_memory, solve
 COARSEST = 2  # voxels along its longest edge that a source should have
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
-# In the file's metadata: of the options; how often its light was gathered;
-# and whether surfaces show all light.
-ESSENCE, GATHERED, WHOLE = "essence", "gathered", "whole"
+# In the file's metadata: what it was made of, see `Light.essences`; the settings that it was solved
+# by; how often its light was gathered; whether surfaces show all light; which sources a modifier is
+# to light; its `Look`.
+ESSENCE, LIGHTS, SOURCES = "essence", "essence_lights", "essence_sources"
+SETTINGS, GATHERED, WHOLE, READERS, LOOK = "settings", "gathered", "whole", "readers", "look"
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
 PLAN, SOLVE, WRITE = 0.05, 0.1, 0.9
@@ -40,13 +45,22 @@ class Decided:
     settings  `Settings` that it is solved by
     times     that light is gathered
     whole     whether surfaces show all light, unscattered light, too
-    readers   [number of the source] of those that a modifier is to light
+    readers   {name of a source: whether a modifier is to light it}
     """
 
     settings: Settings | None = None
     times: int | None = None
     whole: bool | None = None
-    readers: list | None = None
+    readers: dict = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, stamp):
+        """What the frame with the metadata `stamp` had."""
+        values = json.loads(stamp.get(SETTINGS, "{}"))
+        known = {f.name: values[f.name] for f in fields(Settings) if f.name in values}
+        settings = Settings(**known) if known else None
+        readers = json.loads(stamp.get(READERS, "{}"))
+        return cls(settings, stamp.get(GATHERED), stamp.get(WHOLE), readers)
 
 
 @dataclass
@@ -54,8 +68,8 @@ class Problem:
     """A scene as the solver sees it.
 
     medium  in SI units
-    shown   (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone,
-            where there are any, for surfaces show their light themselves
+    shown   (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone, for
+            surfaces show their light themselves
     lights  transport lights
     """
 
@@ -94,6 +108,13 @@ class Lit:
     notes: list
     left_out: list
 
+    @property
+    def look(self):
+        """The `Look` of the lit volume."""
+        optics = self.optics
+        coefficients = optics.sigma_s, optics.sigma_a, optics.g
+        return Look.of(*coefficients, self.beams, self.domain.voxel_size, self.lobes)
+
 
 @dataclass
 class Light:
@@ -110,6 +131,7 @@ class Light:
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     decided   what another frame has `Decided`; whether surfaces show all light is so in any case
     left_out  [source] that turn out to be unreadable on the way
+    token     of this bake, which tells its file from those of others
     """
 
     options: Options
@@ -123,6 +145,7 @@ class Light:
     facts: dict
     decided: Decided
     left_out: list
+    token: str = field(default_factory=new_token)
 
     @property
     def whole(self):
@@ -132,17 +155,27 @@ class Light:
     @property
     def scraps(self):
         """The files that are there only in part, or in vain, where the task does not end well."""
-        return [self.path, unfinished(self.path)]
+        return leftovers(self.path, self.token)
+
+    def essences(self):
+        """{name: text}: what the result depends on, by what the user would change."""
+        made = self.sources, self.box, self.surfaces, self.readers
+        return {
+            ESSENCE: self.options.essence,
+            LIGHTS: essence(self.lights),
+            SOURCES: essence(*made),
+        }
 
     def run(self, tell, folder):
         """A `Lit`; the `Field` goes to the file FIELD in `folder`."""
         tell(stage="Filling voxels", fraction=0.0)
+        made_of = self.essences()
         problem = self.problem()
         settings, planned = self._settings(problem, tell)
         field = self._solve(problem, settings, tell)
         tell(stage="Writing", fraction=WRITE)
         exchange.save(folder / FIELD, field)
-        return self.keep(problem, field, planned)
+        return self.keep(problem, field, planned, {**made_of, SETTINGS: _text_of(settings)})
 
     def _settings(self, problem, tell):
         """(`Settings`, the `Plan` that they are of or None)."""
@@ -163,20 +196,25 @@ class Light:
         scattered = bool(self.surfaces or self.readers) and not self.whole
         return plan(problem.medium, problem.lights, quality, device, fixed, scattered=scattered)
 
-    def keep(self, problem, field, planned=None):
-        """Write the file of the `Field` that a `Problem` has: a `Lit`."""
+    def keep(self, problem, field, planned=None, made_of=None):
+        """Write the file of the `Field` that a `Problem` has: a `Lit`.
+
+        made_of  {name: text} that the file is to carry, too
+        """
         # The paper's opaque voxels are not dark, they only send on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
         falling = field.with_unscattered() if self.whole else field
         read = ambient_grids(falling, occlusion) if self.readers else None
-        beams = self._write(problem, field, read, planned)
+        light, others, beams = volume_light(
+            field, problem.lights, self.options.mode, problem.medium.g
+        )
         ambient = {
             number: vertices.light(falling, occlusion)
             for number, vertices in self.surfaces.items()
             if self._shows_light(number)
         }
         optics = problem.shown[1]
-        return Lit(
+        lit = Lit(
             field.domain,
             field.report,
             planned,
@@ -189,6 +227,8 @@ class Light:
             self.reader.notes,
             [number for number, source in enumerate(self.sources) if source in self.left_out],
         )
+        self._write(problem, lit, light, others, read, made_of or {})
+        return lit
 
     def _shows_light(self, number):
         """Whether the source of this number has a surface that shows its light."""
@@ -218,7 +258,8 @@ class Light:
             occlusion=occlusion,
             occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
         )
-        shown = mixture(volumes, shines) if volumes else (density, optics)
+        is_seen = shines or any(np.any(share.density) for share in volumes)
+        shown = mixture(volumes, shines) if volumes and is_seen else (0 * density, optics)
         return Problem(medium, shown, with_shadows(self.lights, everything))
 
     def _emission(self, domain):
@@ -335,20 +376,17 @@ class Light:
         field.scattered = gather.gather(medium, lights, field, device, times, progress)
         field.report.seconds["gather"] = perf_counter() - start
 
-    def _write(self, problem, field, read, planned):
-        """Write the .vdb, with the grids that a modifier is to read, or None; the beams that it has
-        grids of."""
-        light, others, beams = volume_light(
-            field, problem.lights, self.options.mode, problem.medium.g
-        )
+    def _write(self, problem, lit, light, others, read, made_of):
+        """Write the .vdb of a `Lit`, with the grids that a modifier is to read, or None."""
         if problem.medium.emission is not None and self.options.mode == "REPLACE":
             others[EMISSION_GRID] = problem.medium.emission / _SPHERE
-        stamp = self._stamp(problem.medium, field.report)
-        stamp |= {GATHERED: _times(field), WHOLE: self.whole}
-        if planned is not None:
-            stamp["expected_error"] = planned.error
-        write_vdb(self.path, field.domain, problem.shown[0], light, stamp, others, read)
-        return beams
+        stamp = self._stamp(problem.medium, lit.report) | made_of
+        stamp |= {GATHERED: lit.times, WHOLE: self.whole, LOOK: lit.look.text}
+        stamp[READERS] = json.dumps(self.decided.readers)
+        if lit.plan is not None:
+            stamp["expected_error"] = lit.plan.error
+        density = problem.shown[0]
+        write_vdb(self.path, lit.domain, density, light, stamp, others, read, self.token)
 
     def _stamp(self, medium, report):
         """What the file was made of and how, flat, for its metadata."""
@@ -359,6 +397,11 @@ class Light:
         }
         spent = {"seconds": sum(report.seconds.values()), ESSENCE: self.options.essence}
         return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
+
+
+def _text_of(settings):
+    """`Settings` as `Decided.read` reads them."""
+    return json.dumps(asdict(settings), default=lambda number: number.item())
 
 
 def _times(field):
