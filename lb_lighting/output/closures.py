@@ -27,19 +27,26 @@ def closure_links(socket):
 
     Those that reach a group's own inputs are among them: it may hand them on.
     """
-    for link in socket.links:
-        node = link.from_node
-        # An invalid link closes a circle.
-        if link.is_muted or not link.is_valid or link.from_socket.type != "SHADER":
+    waiting, seen = [socket], set()
+    while waiting:
+        socket = waiting.pop()
+        if socket in seen:  # mixes may share what they mix
             continue
-        below = node.inputs
-        if node.mute:
-            below = [own.from_socket for own in node.internal_links
-                     if own.to_socket == link.from_socket]  # fmt: skip
-        elif node.type not in PASSING_NODES:
-            yield link
-        for source in below:
-            yield from closure_links(source)
+        seen.add(socket)
+        below = []
+        for link in socket.links:
+            # An invalid link closes a circle.
+            if link.is_muted or not link.is_valid or link.from_socket.type != "SHADER":
+                continue
+            node = link.from_node
+            if node.mute:
+                below += [own.from_socket for own in node.internal_links
+                          if own.to_socket == link.from_socket]  # fmt: skip
+            else:
+                below += node.inputs
+                if node.type not in PASSING_NODES:
+                    yield link
+        waiting += reversed(below)
 
 
 def surface_closures(material):

@@ -337,6 +337,18 @@ def test_a_shared_closure_gets_one_node_and_other_uses_of_it_none():
     assert preview.inputs["Surface"].links[0].from_node.type == "BSDF_DIFFUSE"
 
 
+def test_mixes_that_share_what_they_mix_are_walked_once_each():
+    """Forty mixes of a shader with itself: walked by their paths, they are 2^40."""
+    material = new_material()[0]
+    shader = diffuse = colored(material, "ShaderNodeBsdfDiffuse", (0.3, 0.2, 0.1))
+    for _ in range(40):
+        shader = mix_shader(material, shader, shader)
+    wire_ambient(show(material, shader))
+    [node] = [node for node in material.node_tree.nodes if is_ours(node)]
+    assert node.inputs["Shader"].links[0].from_socket == diffuse
+    assert len(node.outputs["Shader"].links) == 2
+
+
 def test_a_second_call_updates():
     material = textured()
     wire_ambient(material)
