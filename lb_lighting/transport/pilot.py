@@ -25,6 +25,7 @@ from .thick import wished_pieces
 MERGES = (1, 2, 4, 8)  # voxels along an edge that may be planned to be merged
 _EDGE = 32  # voxels along the longest edge of the pilot
 _PHOTONS = (20_000, 60_000)  # the more tell what each takes
+_ALONE = 4  # times the second of these, where there is no lattice
 _PROBES = 500  # photons that tell how often light collides, where no lattice does
 _SHARP, _MORE = 0.02, 4  # targets up to this need so many times more to see the lattice's error
 _CLOSE = 0.10  # targets up to this are compared with photons; the others with what is usual:
@@ -52,7 +53,6 @@ class Pilot:
     rays        s, of rays and all but the lattice where there is one
     solve       s, of the lattice, at `steps`
     steps       at `edge`, and at half of it
-    residual    error of the lattice's light where it was not stepped to its end, else 0
     trace       s a photon that is traced to a handover of `traced`
     traced      that handover, in transport optical depths
     noise       of one photon: of n it is the root of n less
@@ -71,7 +71,6 @@ class Pilot:
     rays: float = 0.0
     solve: float = 0.0
     steps: tuple = (0, 0)
-    residual: float = 0.0
     trace: float = 0.0
     traced: float = inf
     noise: float = 0.0
@@ -249,21 +248,26 @@ class _Flight:
     def _traced(self, pilot, whole):
         """(the `Pilot` with how far photons went, the `Field`s of few and of many, their
         numbers)."""
-        probe = (
-            self.solved(handover=inf, photons=_PROBES, rays=_ROUGHEST) if whole is None else whole
-        )
+        probe = whole
+        if whole is None:
+            probe = self.solved(handover=inf, photons=_PROBES, rays=_ROUGHEST)
         collisions = self._collisions(probe)
         # To their end, where that is not far: a lattice that takes over has an error, too.
-        if whole is not None and collisions > _FAR:
+        if whole is not None and whole.report.converged and collisions > _FAR:
             pilot = replace(pilot, traced=4.0)
             of_one = 1 / (1 - float((self.medium.albedo * self.medium.g).max()))
             collisions = min(collisions, 1 + 4.0 * of_one)
         counts = [n * (_MORE if self.target <= _SHARP else 1) for n in _PHOTONS]
+        if whole is None:  # what they take counts, as nothing else is left
+            counts[1] *= _ALONE
         allowed = _COLLISIONS * self.patience / (max(collisions, 1.0) * self._runs * sum(counts))
-        counts = [max(_PROBES, round(n * min(allowed, 1.0))) for n in counts]
+        counts = [
+            round(max(_PROBES, counts[0] * min(allowed, 1.0)) * n / counts[0]) for n in counts
+        ]
+        traced = {"handover": pilot.traced, "rays": _ROUGHEST}
+        traced["most_steps"] = self._most_steps(pilot.pieces[0])
         few, many = (
-            self.solved(handover=pilot.traced, seed=seed, photons=count, rays=_ROUGHEST)
-            for seed, count in enumerate(counts)
+            self.solved(seed=seed, photons=count, **traced) for seed, count in enumerate(counts)
         )
         return pilot, few, many, counts
 
@@ -278,12 +282,12 @@ class _Flight:
         off = inf if half is None else size(whole.fluence - half.fluence, self.weight) / light
         return replace(
             pilot,
-            error=_USUAL,
+            # Of what is still to come too, where it was not stepped to its end.
+            error=hypot(_USUAL, 0.0 if whole.report.converged else whole.report.residual),
             merging=off,
             rays=seconds - solving - casting + casting / effort(_ROUGH),
             solve=solving,
             steps=tuple(field.report.steps if field else 0 for field in (whole, half)),
-            residual=0.0 if whole.report.converged else whole.report.residual,
         )
 
     def _with_finer_lattice(self, pilot):
@@ -296,7 +300,7 @@ class _Flight:
         steps = tried.report.steps
         pieces = pilot.pieces | {0: 1}
         return replace(
-            pilot, error=_USUAL, rays=rest, solve=solving, steps=(steps, 0), pieces=pieces
+            pilot, error=_USUAL, rays=rest, solve=solving, steps=(steps, steps), pieces=pieces
         )
 
     def _with_photons(self, pilot, whole, few, many, counts, light):
@@ -315,8 +319,11 @@ class _Flight:
         if whole is None:
             return pilot
         one, other = ((whole.fluence - field.fluence).astype(float) for field in (few, many))
-        squared = float(np.vdot(self.weight * one, other))
-        return replace(pilot, error=sqrt(max(squared, 0.0)) / light)
+        squared = float(np.vdot(self.weight * one, other)) / light**2
+        # What noise leaves unknown of it, where that is even over the voxels.
+        seen = self.weight.sum() ** 2 / (np.vdot(self.weight, self.weight) or 1.0)
+        unknown = noise**2 / sqrt(counts[0] * counts[1] * max(seen, 1.0))
+        return replace(pilot, error=sqrt(max(squared, 0.0) + unknown))
 
     def _collisions(self, field):
         """Mean number of a photon's collisions: what collides over what enters."""

@@ -260,8 +260,7 @@ def _expected_error(settings, pilot, medium, edge, target):
     merging = _of_merged(settings, pilot, pilot.edge * (1 / large - 1 / edge))
     left = 0.0 if settings.handover == inf else float(np.interp(settings.handover, *_LEFT))
     lattice = left * pilot.error if left else 0.0
-    stopping = hypot(settings.tolerance, pilot.residual) if left else 0.0
-    error = hypot(lattice, merging, sampling, stopping)
+    error = hypot(lattice, merging, sampling, settings.tolerance if left else 0.0)
     if not settings.handover:
         return settings, error
     noise = pilot.noise * large / pilot.edge  # of one photon in all
@@ -386,6 +385,8 @@ def _of_photons(settings, pilot):
 
 
 def _of_merging(settings, pilot, medium):
+    if settings.merge == 1 and pilot.merging == inf:
+        return "Scattered light in all voxels: larger ones would be too dark for the lattice."
     if settings.merge == 1:
         return f"Scattered light in all voxels: in larger ones it is {pilot.merging:.1%} off."
     edge = ceil(max(medium.shape) / settings.merge)
