@@ -18,7 +18,7 @@ from ..errors import MediumError
 from .coarse import coarse
 from .crop import matter
 from .lights import FEW_VOXELS, Sky, Sun
-from .seen import share, size, weights
+from .seen import mean_share, size, weights
 from .solver import solve
 from .thick import wished_pieces
 
@@ -46,6 +46,7 @@ class Pilot:
 
     edge        voxels along the longest edge, of the box that holds all matter
     share       of scattered light in all light
+    mean        the same in the mean: by how much a picture is darker without it
     once        s, of unscattered light alone, with all else that a solve takes
     sampling    error of the usual number of rays; 0 where unscattered light is not shown
     error       of the lattice alone; infinite where it cannot be
@@ -65,6 +66,7 @@ class Pilot:
     edge: int
     share: float
     once: float
+    mean: float = 0.0
     sampling: float = 0.0
     error: float = inf
     merging: float = inf
@@ -107,9 +109,8 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
     sampling = _of_usual(size(single.direct - rough.direct, weight) / (light or 1.0))
     if max(whole.shape) > FEW_VOXELS >= max(medium.shape):
         sampling *= 2**EVENER  # half of the rays along an edge are sent through so large a domain
-    pilot = Pilot(
-        max(small.shape), thin or 0.0, once, sampling, air=_air(whole.shape, medium.shape, lights)
-    )
+    air = _air(whole.shape, medium.shape, lights)
+    pilot = Pilot(max(small.shape), thin or 0.0, once, sampling=sampling, air=air)
     if thin is not None:
         return pilot
     pieces = {merge: _pieces(medium.merged(merge), settings) for merge in MERGES}
@@ -215,10 +216,12 @@ class _Flight:
         if whole is None or self.target <= _CLOSE:
             pilot, few, many, counts = self._traced(pilot, whole)
         best = many if whole is None else whole
-        light = size(best.fluence + self.single.direct, self.weight) or 1.0
+        whole_light = best.fluence + self.single.direct
+        light = size(whole_light, self.weight) or 1.0
         pilot = replace(
             pilot,
-            share=share(best.fluence, best.fluence + self.single.direct, self.weight),
+            share=size(best.fluence, self.weight) / light,
+            mean=mean_share(best.fluence, whole_light, self.weight),
             collisions=self._collisions(best),
         )
         if whole is not None:

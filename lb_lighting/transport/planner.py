@@ -255,7 +255,7 @@ def _expected_error(settings, pilot, medium, edge, target):
     if edge > FEW_VOXELS >= pilot.edge:  # half of the rays are taken along an edge
         sampling *= 2**EVENER
     if settings.scattering == "single":
-        return settings, hypot(pilot.share, sampling)
+        return settings, hypot(max(pilot.share, pilot.mean), sampling)
     large = edge / settings.merge
     merging = _of_merged(settings, pilot, pilot.edge * (1 / large - 1 / edge))
     left = 0.0 if settings.handover == inf else float(np.interp(settings.handover, *_LEFT))

@@ -17,7 +17,6 @@ def weights(medium, surfaces=False):
               these reflect. It does so as well where nothing else scatters
     All zeros where nothing is seen: in a medium that only absorbs.
     """
-    # In powers of two, as the product may be more than any number.
     density = medium.density / (float(medium.density.max()) or 1.0)
     found = medium.sigma_s[:, None, None, None] * density.astype(float)
     if medium.occlusion is not None and (surfaces or not found.any()):
@@ -31,19 +30,14 @@ def size(grid, weight):
     return float(np.sqrt(np.vdot(weight, np.square(grid, dtype=float))))
 
 
-def share(part, whole, weight):
-    """What a part of light is of the whole, as it is seen: in L2, or in the mean where that is
-    more, as it is of lamps in a medium, whose light is very bright in few voxels.
+def mean_share(part, whole, weight):
+    """What a part of light is of the whole, in the mean of what is seen; 0 where nothing is.
 
-    0 where nothing is seen.
+    It is more than the share in L2 of a lamp that stands in a medium, whose own light is very
+    bright in few voxels.
     """
-    means = (float(np.vdot(weight, np.abs(grid, dtype=float))) for grid in (part, whole))
-    sizes = (size(grid, weight) for grid in (part, whole))
-    return max(_over(*means), _over(*sizes))
-
-
-def _over(part, whole):
-    return part / whole if whole else 0.0
+    means = [float(np.vdot(weight, grid.astype(float))) for grid in (part, whole)]
+    return means[0] / means[1] if means[1] else 0.0
 
 
 def _before_opaque(medium):
