@@ -142,7 +142,7 @@ class Light:
             return self.options.settings(), None
         tell(stage="Planning", fraction=PLAN)
         planned = self.plan(problem, self.options.quality)
-        if not planned.meets_target:
+        if not (planned.meets_target and planned.keeps_to_budget):
             self.reader.notes.append(planned.reasons[-1])
         return planned.settings, planned
 
