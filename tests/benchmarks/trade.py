@@ -4,9 +4,10 @@
     python -m tests.benchmarks.trade [dials planner bands]
 
 measures all parts, or those named; planner-fixed, planner-random and planner-sparse are parts of
-`planner`: the media of the dials, random media, and those that are mostly void. Errors are of all
-light, relative, in L2, against traced photons whose own noise is taken out
-(tests/references/trade.npz, made by `python -m tests.benchmarks.references`). Columns:
+`planner`: the media of the dials, random media, and those that are mostly void; with /3 behind
+them, every third of these. Errors are of all light, relative, in L2, against traced photons whose
+own noise is taken out (tests/references/trade.npz, made by `python -m
+tests.benchmarks.references`). Columns:
 
 work          processor seconds, over those of the first solve of the run ("reference"): the default
               settings in the first medium
@@ -19,7 +20,6 @@ balance       |in - absorbed - out| / in
 
 import sys
 from dataclasses import replace
-from functools import partial
 from math import inf, prod
 from time import perf_counter, process_time
 
@@ -125,10 +125,10 @@ def dials():
         print(case.name, flush=True)
 
 
-def planned(kinds):
-    """Every quality in media of some kinds; what would take long is left out."""
+def planned(cases):
+    """Every quality in some media; what would take long is left out."""
     references, found = References("trade"), device.choose()
-    for case in [case for kind in kinds for case in CASES[kind]()]:
+    for case in cases:
         print(case.name, flush=True)  # as some take a minute
         for quality, target in planner.TARGETS.items():
             shown = {"scattered": case.surfaces}
@@ -159,8 +159,8 @@ def planned(kinds):
             }
 
 
-def kept(kinds, name="planner"):
-    rows = list(planned(kinds))
+def kept(kinds, every=1, name="planner"):
+    rows = list(planned(case for kind in kinds for case in list(CASES[kind]())[::every]))
     yield name, rows
     yield f"{name}-summary", list(summary(rows))
 
@@ -214,13 +214,20 @@ PARTS = {
     "planner": lambda: kept(CASES),
     "bands": lambda: [("trade-bands", list(bands()))],
 }
-ALONE = {f"planner-{kind}": partial(kept, [kind], f"planner-{kind}") for kind in CASES}
+
+
+def tables(part):
+    """[(name, rows)] of a part."""
+    if part in PARTS:
+        return PARTS[part]()
+    name, _, every = part.partition("/")
+    return kept([name.removeprefix("planner-")], int(every or 1), name)
 
 
 def main(parts):
     found = device.choose()
     for part in parts or PARTS:
-        for name, rows in (PARTS | ALONE)[part]():
+        for name, rows in tables(part):
             publish(name, found.label, rows)
 
 
