@@ -2,6 +2,7 @@
 """Lighting a scene: its voxels are filled, it is solved, and the file written."""
 
 from dataclasses import asdict, dataclass
+from math import inf
 from time import perf_counter
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..transport import gather
 from ..transport.field import Report
 from ..transport.lights import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
-from ..transport.planner import Plan, plan
+from ..transport.planner import BUDGETS, Plan, plan
 from ..transport.solver import Settings, require_memory, solve
 
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
@@ -243,7 +244,22 @@ class Light:
             return 0
         if not gather.is_worthwhile(problem.medium, problem.lights):
             return 0
-        return 1 if self.options.quality == "preview" else gather.TIMES
+        if self.options.quality == "preview":
+            return 1
+        budget = BUDGETS.get(self.options.quality, inf)
+        return gather.TIMES if budget == inf else self._gathers_within(budget, problem)
+
+    def _gathers_within(self, budget, problem):
+        """How many times the light of a `Problem` is gathered within some seconds: once or more."""
+        device = self.options.device or None
+        once = gather.seconds(problem.medium, problem.lights, device, 1)
+        times = min(max(int(budget / once), 1), gather.TIMES)
+        if times < gather.TIMES:
+            self.reader.notes.append(
+                f"Directions are gathered {times} of {gather.TIMES} times, to end within about "
+                f"{budget:.0f} s; choose Final to gather them all."
+            )
+        return times
 
     def _solve(self, problem, settings, tell):
         stage, times = "Solving", self.gathers(problem, settings)
