@@ -15,6 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from ..errors import MediumError
+from . import device as devices
 from .coarse import coarse
 from .crop import matter
 from .lights import FEW_VOXELS, Sky, Sun
@@ -115,7 +116,8 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
         return pilot
     pieces = {merge: _pieces(medium.merged(merge), settings) for merge in MERGES}
     pilot = replace(pilot, pieces={0: _pieces(small, settings), **pieces})
-    flight = _Flight(small, weight, single, solved, target, _is_dark(medium))
+    is_slow = devices.choose(device).kind == "NumPy"
+    flight = _Flight(small, weight, single, solved, target, _is_dark(medium), is_slow)
     pilot = flight.with_scattered(pilot)
     if scattered:
         # What few rays do to scattered light is in the error of the lattice.
@@ -191,6 +193,7 @@ class _Flight:
     solved   a function that solves the medium, and takes changes of `Settings`
     target   relative error
     is_dark  whether the lattice cannot be used in the voxels that it is planned for either
+    is_slow  whether photons take many times as long as they do by OpenCL
     """
 
     medium: object
@@ -199,6 +202,7 @@ class _Flight:
     solved: object
     target: float
     is_dark: bool
+    is_slow: bool
 
     @property
     def patience(self):
@@ -213,7 +217,8 @@ class _Flight:
         whole = self._lattice(pieces)
         seconds = perf_counter() - start
         few = many = None
-        if whole is None or self.target <= _CLOSE:
+        is_close = self.target < _CLOSE or (self.target == _CLOSE and not self.is_slow)
+        if whole is None or is_close:
             pilot, few, many, counts = self._traced(pilot, whole)
         best = many if whole is None else whole
         whole_light = best.fluence + self.single.direct
