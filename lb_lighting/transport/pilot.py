@@ -331,7 +331,9 @@ class _Flight:
         # What noise leaves unknown of it, where that is even over the voxels.
         seen = self.weight.sum() ** 2 / (np.vdot(self.weight, self.weight) or 1.0)
         unknown = noise**2 / sqrt(counts[0] * counts[1] * max(seen, 1.0))
-        return replace(pilot, error=sqrt(max(squared, 0.0) + unknown))
+        found = sqrt(max(squared, 0.0) + unknown)
+        # Where that is lost in noise it is taken to be no more than usual.
+        return replace(pilot, error=found if squared > 2 * unknown else min(found, pilot.error))
 
     def _collisions(self, field):
         """Mean number of a photon's collisions: what collides over what enters."""

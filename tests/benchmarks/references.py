@@ -47,7 +47,7 @@ DIGITS = {"accuracy": 11, "trade": 7}
 @dataclass(frozen=True)
 class Reference:
     """All light, (nx, ny, nz) W/m^2, and its relative standard error in L2; and that of the light
-    as it is seen, None where it was not kept."""
+    as it is seen, None where that was not kept."""
 
     light: np.ndarray
     error: float

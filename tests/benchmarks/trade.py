@@ -83,7 +83,7 @@ def measured(field, reference, scaled=False, weight=None):
     if weight is None:
         weight = np.ones_like(truth)
     else:
-        noise = reference.error_seen
+        noise = reference.error if reference.error_seen is None else reference.error_seen
     if scaled:
         light = light * float((light * truth).sum() / (light**2).sum())
     size = (weight * truth**2).sum()
