@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import asdict, dataclass, field, fields
+from math import inf
 from time import perf_counter
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..transport.device import troubles
 from ..transport.field import Report
 from ..transport.lights import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
-from ..transport.planner import Plan, plan
+from ..transport.planner import BUDGETS, Plan, plan
 from ..transport.solver import Settings, require_memory, solve
 
 COARSEST = 2  # voxels along its longest edge that a source should have
@@ -185,7 +186,7 @@ class Light:
             return self.options.settings(), None
         tell(stage="Planning", fraction=PLAN)
         planned = self.plan(problem, self.options.quality)
-        if not planned.meets_target:
+        if not (planned.meets_target and planned.keeps_to_budget):
             self.reader.notes.append(planned.reasons[-1])
         return planned.settings, planned
 
@@ -332,7 +333,22 @@ class Light:
             return 0
         if not gather.is_worthwhile(problem.medium, problem.lights):
             return 0
-        return 1 if self.options.quality == "preview" else gather.TIMES
+        if self.options.quality == "preview":
+            return 1
+        budget = BUDGETS.get(self.options.quality, inf)
+        return gather.TIMES if budget == inf else self._gathers_within(budget, problem)
+
+    def _gathers_within(self, budget, problem):
+        """How many times the light of a `Problem` is gathered within some seconds: once or more."""
+        device = self.options.device or None
+        once = gather.seconds(problem.medium, problem.lights, device, 1)
+        times = min(max(int(budget / once), 1), gather.TIMES)
+        if times < gather.TIMES:
+            self.reader.notes.append(
+                f"Directions are gathered {times} of {gather.TIMES} times, to end within about "
+                f"{budget:.0f} s; choose Final to gather them all."
+            )
+        return times
 
     def _solve(self, problem, settings, tell):
         stage, times = "Solving", self.gathers(problem, settings)

@@ -51,6 +51,14 @@ class Box:
         return grid[..., *map(slice, self.lower, self.upper)]
 
 
+def matter(medium, lights):
+    """The `Box` of all that light may collide with, and of all that shines."""
+    shadows = [getattr(light, "shadow_density", None) for light in lights]
+    emission = None if medium.emission is None else medium.emission.sum(axis=0)
+    grids = (medium.density, medium.occlusion, emission, *shadows)
+    return Box.around([grid for grid in grids if grid is not None])
+
+
 def _ends(grids, axis, n):
     """(first, end) along an axis; None where there is nothing."""
     across = tuple(other for other in range(3) if other != axis)

@@ -16,7 +16,7 @@ from ..errors import Cancelled, DeviceError, LightError
 from . import device as devices
 from . import direct, photons
 from .coarse import coarse, put_together
-from .crop import Box, stream_on
+from .crop import matter, stream_on
 from .field import Field, Report
 from .levels import Level
 from .lights import BEAMS, Emission, Sky, by_band, darkness
@@ -287,7 +287,7 @@ class _Work:
         shining = lights if medium.emission is None else [*lights, Emission(medium)]
         single = self.settings.scattering == "single"
         last = 1 if single else _last_collision(medium, self.settings)
-        runs, box = runs_of(medium, shining, apart=last == 1), _box(medium, lights)
+        runs, box = runs_of(medium, shining, apart=last == 1), matter(medium, lights)
         traced = self._trace(medium, lights, last) if last > 1 else None
         begun = _TRACING if traced else 0.0
         field = self._dark_field(medium, len(lights))
@@ -507,14 +507,6 @@ class _Work:
         tolerance = self.settings.tolerance
         reached = np.log(max(error, tolerance)) / np.log(tolerance)
         self._tell("solve", self.begun + self.share * reached)
-
-
-def _box(medium, lights):
-    """The `Box` of all that light may collide with, and of all that shines."""
-    shadows = [getattr(light, "shadow_density", None) for light in lights]
-    emission = None if medium.emission is None else medium.emission.sum(axis=0)
-    grids = (medium.density, medium.occlusion, emission, *shadows)
-    return Box.around([grid for grid in grids if grid is not None])
 
 
 def _last_collision(medium, settings):

@@ -15,6 +15,8 @@ from tests.setup import heads
 
 EDGE = 24  # voxels
 TRADED = 32  # voxels of the media whose speed and accuracy are traded
+SPARSE = range(48, 72)  # seeds: of media that are mostly void, which nothing was fitted to
+PLANTS = range(72, 76)  # and of small plants
 RANDOM = range(24, 48)  # seeds: those before were looked at when the planner was made
 COARSE = 12  # voxels of the media that are refined
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
@@ -27,12 +29,14 @@ REFINED = {"cube 8, g 0": (8, 0), "cube 32, g .85": (32, 0.85)}
 
 @dataclass(frozen=True)
 class Case:
-    """A medium of one band and its lights; the group says which of the tables it belongs to."""
+    """A medium of one band and its lights; the group says which of the tables it belongs to, and
+    `surfaces` whether what shows the light are surfaces, to which lamps send theirs in any case."""
 
     name: str
     medium: Medium
     lights: tuple
     group: str = "main"
+    surfaces: bool = False
 
 
 def of_depth(density, depth, albedo, g, **rest):
@@ -130,6 +134,68 @@ def random_cases():
         medium = random_medium(rng)
         lights = RANDOM_LIGHTS[rng.integers(len(RANDOM_LIGHTS))](rng)
         yield Case(f"random {seed}", medium, lights, "random")
+
+
+def sparse_cases():
+    """Media in a corner of their domain, 50 to 99 % of which is void, and small plants; half of
+    the media have a lamp in them or beside them."""
+    for seed in SPARSE:
+        rng = np.random.default_rng([seed, 7])
+        density, lower, upper = sparse_density(rng)
+        albedo = 1 - 10 ** rng.uniform(-4, -0.3)
+        depth = 10 ** rng.uniform(-0.5, 1.7)  # of a line as long as the matter, in the mean
+        mean = float(density.sum() / np.prod(upper - lower))
+        sigma_t = depth * EDGE / (mean * (upper - lower).max())
+        medium = Medium(
+            density,
+            1 / EDGE,
+            sigma_t * albedo,
+            sigma_t * (1 - albedo),
+            rng.uniform(-0.3, 0.9),
+        )
+        lights = SPARSE_LIGHTS[seed % len(SPARSE_LIGHTS)](rng, lower / EDGE, upper / EDGE)
+        yield Case(f"sparse {seed}", medium, lights, "sparse")
+    for seed in PLANTS:
+        rng = np.random.default_rng([seed, 7])
+        leaves = 10 ** rng.uniform(1.3, 2.3)  # all in all, each in some voxel of a ball
+        inside = sum(x**2 for x in corners(EDGE)) < 0.8
+        density = 1.0 * inside * rng.poisson(leaves / inside.sum(), inside.shape)
+        albedo = rng.choice((0.2, 0.5, 0.9))
+        medium = Medium(density, 1 / EDGE, 10 * albedo, 10 * (1 - albedo), -0.02)
+        yield Case(f"plant {seed}", medium, random_sun_and_sky(rng), "sparse", surfaces=True)
+
+
+def sparse_density(rng):
+    """(density, the corners of the matter (3,) in voxels)."""
+    while True:
+        extent = rng.integers(5, EDGE, 3)
+        lower = np.array([rng.integers(0, EDGE - n + 1) for n in extent])
+        density = np.zeros((EDGE,) * 3)
+        inside = tuple(slice(a, a + n) for a, n in zip(lower, extent, strict=True))
+        density[inside] = SHAPES[rng.integers(len(SHAPES))](tuple(extent), rng)
+        if 0.5 <= np.mean(density == 0) <= 0.99:
+            return density, lower, lower + extent
+
+
+def lamp_beside(rng, lower, upper):
+    """A lamp a tenth to a third of the matter's size away from it."""
+    way = rng.normal(size=3)
+    way /= np.abs(way).max()
+    size = upper - lower
+    place = (lower + upper) / 2 + way * size * rng.uniform(0.6, 0.83)
+    return (PointLight(tuple(place), 10.0),)
+
+
+def lamp_inside(rng, lower, upper):
+    return (PointLight(tuple(rng.uniform(lower, upper)), 10.0), Sky(0.1))
+
+
+SPARSE_LIGHTS = (
+    lambda rng, *_: random_sun(rng),
+    lamp_beside,
+    lambda rng, *_: random_sun_and_sky(rng),
+    lamp_inside,
+)
 
 
 def random_medium(rng):

@@ -3,13 +3,15 @@
 
     python -m tests.benchmarks.trade [dials planner bands]
 
-measures all parts, or those named. Errors are of all light, relative, in L2, against traced photons
-whose own noise is taken out (tests/references/trade.npz, made by `python -m
+measures all parts, or those named; planner-fixed, planner-random and planner-sparse are parts of
+`planner`: the media of the dials, random media, and those that are mostly void; with /3 behind
+them, every third of these. Errors are of all light, relative, in L2, against traced photons whose
+own noise is taken out (tests/references/trade.npz, made by `python -m
 tests.benchmarks.references`). Columns:
 
 work          processor seconds, over those of the first solve of the run ("reference"): the default
               settings in the first medium
-error         relative L2 of all light
+error         relative L2 of all light; of `planner`, as it is seen (transport/seen.py)
 error +-      standard error of that, from the reference's noise
 worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
               reference's light; noise is in it
@@ -24,9 +26,9 @@ from time import perf_counter, process_time
 import numpy as np
 
 from lb_lighting.errors import LightingError
-from lb_lighting.transport import Medium, Settings, device, paper_units, planner, solve
+from lb_lighting.transport import Medium, Settings, device, paper_units, planner, seen, solve
 from tests.benchmarks.columns import all_light, cropped, imbalance, padded
-from tests.benchmarks.media import SUN, cloud, random_cases, trade_cases
+from tests.benchmarks.media import SUN, cloud, random_cases, sparse_cases, trade_cases
 from tests.benchmarks.references import References
 from tests.benchmarks.table import publish
 
@@ -75,17 +77,21 @@ def lit(case, settings, found):
     return timed(case.medium, case.lights, settings, found)
 
 
-def measured(field, reference, scaled=False):
-    light, truth = all_light(field), reference.light
+def measured(field, reference, scaled=False, weight=None):
+    """What a `Field` is off; weight is that of each voxel (nx, ny, nz), or None for all alike."""
+    light, truth, noise = all_light(field), reference.light, reference.error
+    if weight is None:
+        weight = np.ones_like(truth)
+    else:
+        noise = reference.error if reference.error_seen is None else reference.error_seen
     if scaled:
         light = light * float((light * truth).sum() / (light**2).sum())
-    size = np.linalg.norm(truth)
-    raw = float(np.linalg.norm(light - truth) / size)
-    squared = raw**2 - reference.error**2
+    size = (weight * truth**2).sum()
+    squared = float((weight * (light - truth) ** 2).sum() / size) - noise**2
     # Of n voxels alike the squared noise is known to sqrt(2/n) of itself, and its product with the
     # error to 2 error noise / sqrt(n).
-    noise = reference.error / np.sqrt(truth.size)
-    spread = np.hypot(np.sqrt(2) * reference.error * noise, 2 * max(squared, 0) ** 0.5 * noise)
+    of_one = noise * np.sqrt((weight**2).sum()) / weight.sum()
+    spread = np.hypot(np.sqrt(2) * noise * of_one, 2 * max(squared, 0) ** 0.5 * of_one)
     error = max(squared, 0.0) ** 0.5
     largest = np.sort(np.abs(light - truth), axis=None)[-truth.size // 10 :]
     return {
@@ -119,21 +125,23 @@ def dials():
         print(case.name, flush=True)
 
 
-def planned():
-    """Every quality in random media, and in those above; what would take long is left out."""
+def planned(cases):
+    """Every quality in some media; what would take long is left out."""
     references, found = References("trade"), device.choose()
-    for case in [*random_cases(), *trade_cases()]:
+    for case in cases:
         print(case.name, flush=True)  # as some take a minute
         for quality, target in planner.TARGETS.items():
-            plan = planner.plan(case.medium, case.lights, quality, found.label)
-            row = {"case": case.name, "quality": quality, "target": target}
+            shown = {"scattered": case.surfaces}
+            plan = planner.plan(case.medium, case.lights, quality, found.label, **shown)
+            row = {"kind": case.group, "case": case.name, "quality": quality, "target": target}
             if plan.seconds > LONGEST:
                 yield row | {"not tried": plan.seconds}
                 continue
             start = perf_counter()
             field = solve(case.medium, case.lights, plan.settings, found.label)
             seconds = perf_counter() - start
-            numbers = measured(field, references[case])
+            weight = seen.weights(case.medium, case.surfaces)[0]
+            numbers = measured(field, references[case], weight=weight)
             s = plan.settings
             yield row | {
                 "chosen": s.scattering if s.scattering == "single" else "lattice",
@@ -144,24 +152,24 @@ def planned():
                 "error": numbers["error"],
                 "error +-": numbers["error +-"],
                 "met": numbers["error"] <= target,
+                "told": plan.meets_target,
                 "planning": plan.spent,
                 "seconds": seconds,
                 "foretold": plan.seconds / seconds,
             }
 
 
-def kept():
-    rows = list(planned())
-    yield "planner", rows
-    yield "planner-summary", list(summary(rows))
+def kept(kinds, every=1, name="planner"):
+    rows = list(planned(case for kind in kinds for case in list(CASES[kind]())[::every]))
+    yield name, rows
+    yield f"{name}-summary", list(summary(rows))
 
 
 def summary(rows):
-    """By quality: how often the target was met, and the time foretold within a factor of two."""
-    for group, chosen in (
-        ("fixed", [row for row in rows if not row["case"].startswith("random")]),
-        ("random", [row for row in rows if row["case"].startswith("random")]),
-    ):
+    """By quality: how often the target was met, or the plan said that it would not be, and the time
+    foretold within a factor of two."""
+    for group, kind in KINDS.items():
+        chosen = [row for row in rows if row["kind"] == kind]
         for quality in planner.TARGETS:
             some = [row for row in chosen if row["quality"] == quality and "error" in row]
             if not some:
@@ -172,7 +180,8 @@ def summary(rows):
                 "quality": quality,
                 "count": len(some),
                 "not tried": sum(r["quality"] == quality and "not tried" in r for r in chosen),
-                "met": float(np.mean([row["met"] for row in some])),
+                "met": sum(row["met"] for row in some),
+                "told": sum(not row["met"] and not row["told"] for row in some),
                 "worst error": max(row["error"] for row in some),
                 "worst in": max(some, key=lambda row: row["error"])["case"],
                 "time within 2x": float(np.mean(within)),
@@ -198,17 +207,27 @@ def bands():
         yield {"bands": name, "solved": field.report.runs, "work": seconds / unit}
 
 
+CASES = {"fixed": trade_cases, "random": random_cases, "sparse": sparse_cases}
+KINDS = {"fixed": "trade", "random": "random", "sparse": "sparse"}  # as the media call them
 PARTS = {
     "dials": lambda: [("trade", list(dials()))],
-    "planner": kept,
+    "planner": lambda: kept(CASES),
     "bands": lambda: [("trade-bands", list(bands()))],
 }
+
+
+def tables(part):
+    """[(name, rows)] of a part."""
+    if part in PARTS:
+        return PARTS[part]()
+    name, _, every = part.partition("/")
+    return kept([name.removeprefix("planner-")], int(every or 1), name)
 
 
 def main(parts):
     found = device.choose()
     for part in parts or PARTS:
-        for name, rows in PARTS[part]():
+        for name, rows in tables(part):
             publish(name, found.label, rows)
 
 

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake tells of its plan, and how it keeps to the time that its quality has."""
+
+import bpy
+import pytest
+
+from lb_lighting import bake
+from lb_lighting.transport import Settings, gather
+from lb_lighting.transport.planner import Plan
+from tests import scenery
+
+
+def task(folder, quality, anisotropy=0.0):
+    """The `Light` of a fog in the sun."""
+    ob = scenery.add_fog(folder)
+    volume = ob.active_material.node_tree.nodes["Principled Volume"]
+    volume.inputs["Anisotropy"].default_value = anisotropy
+    return bake.gather(bpy.context, [ob], bake.Options.of(bpy.context.scene, quality=quality))
+
+
+@pytest.mark.parametrize(
+    ("quality", "seconds", "times"),
+    [("draft", 1.0, 4), ("draft", 8.0, 2), ("draft", 100.0, 1), ("final", 100.0, 4)],
+)
+def test_drafts_gather_as_often_as_there_is_time_for(
+    quality, seconds, times, scene, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(gather, "seconds", lambda *_arguments: seconds)
+    light = task(tmp_path, quality, anisotropy=0.85)
+    assert light.gathers(light.problem(), Settings()) == times
+    notes = [note for note in light.reader.notes if "gathered" in note]
+    assert [f"gathered {times} of 4 times" in note for note in notes] == [True] * (times < 4)
+
+
+@pytest.mark.parametrize(("error", "seconds"), [(0.14, 5.0), (0.08, 60.0)])
+def test_what_a_plan_cannot_keep_to_is_a_note(error, seconds, scene, tmp_path, monkeypatch):
+    told = "It will not be as it was asked for."
+    planned = Plan(Settings(), "draft", 0.1, error, seconds, 1, "here", ["a", told], 0.1, 20.0)
+    light = task(tmp_path, "draft")
+    monkeypatch.setattr(type(light), "plan", lambda *_arguments: planned)
+    light._settings(light.problem(), lambda **_told: None)
+    assert light.reader.notes[-1] == told
+
+
+def test_a_plan_that_keeps_its_word_is_no_note(scene, tmp_path):
+    light = task(tmp_path, "draft")
+    settings, planned = light._settings(light.problem(), lambda **_told: None)
+    assert planned.meets_target
+    assert planned.keeps_to_budget
+    assert settings == planned.settings
+    assert not any("target" in note for note in light.reader.notes)
+
+
+@pytest.mark.parametrize("leaves", [20, 100])
+def test_small_plants_are_not_told_absurd_errors(leaves, scene, tmp_path):
+    """Of all light that they show; scattered light alone is a few per cent of it."""
+    ob = scenery.add_leaves(count=leaves)
+    options = bake.Options.of(bpy.context.scene, quality="draft", resolution=24)
+    light = bake.gather(bpy.context, [ob], options)
+    settings, planned = light._settings(light.problem(), lambda **_told: None)
+    assert planned.meets_target
+    assert settings.photons is None
