@@ -15,6 +15,7 @@ from lb_lighting import bake, worker
 from lb_lighting.bake import Options
 from lb_lighting.errors import EmptyError, SceneError
 from lb_lighting.essence import essence
+from lb_lighting.output.modifier import has_modifier
 from lb_lighting.output.vdb import DENSITY_GRID, LIGHT_GRID, read_metadata, read_whole, unfinished
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.sequence import REASONS, UNREADABLE, Sequence
@@ -328,3 +329,25 @@ def test_two_processes_bake_the_same_frames(scene, fog, tmp_path):
     densities = {read_grid(path, DENSITY_GRID)[0].sum() for path in frames().values()}
     assert len(densities) == 1
     assert not list(folder().glob(".*"))
+
+
+def test_a_cloud_that_begins_later_leaves_the_plant_beside_it_as_it_is(scene, smoke):
+    """In the first frame there is nothing of it, and it is no fog of leaves either."""
+    ob, leaves = smoke(0, 1), scenery.add_leaves(count=20)
+    notes = bake_frames(ob, leaves, foliage="MODIFIER").notes
+    assert any(note.startswith(f"'{ob.name}' is left out.") for note in notes)
+    grids = [scenery.openvdb.read(str(path), DENSITY_GRID) for path in frames().values()]
+    assert [grid.activeVoxelCount() > 0 for grid in grids] == [False, True]
+    (shown,) = baked_volumes(scene)
+    assert not shown.hide_render
+    assert ob.hide_render
+    assert has_modifier(leaves)
+    assert not has_modifier(ob)
+
+
+def test_a_cloud_that_ends_beside_a_plant_stays_hidden(scene, smoke):
+    ob, leaves = smoke(1, 0), scenery.add_leaves(count=20)
+    bake_frames(ob, leaves)
+    (shown,) = baked_volumes(scene)
+    assert not shown.hide_render
+    assert ob.hide_render
