@@ -23,9 +23,10 @@ from .output import attribute, modifier, shading, shading_surfaces, volume
 from .output.ambient import STAND_OFF
 from .scene.frames import at_frame
 from .scene.lights import scene_lights
+from .scene.opening import open_sources
+from .scene.reader import Reader
 from .scene.receivers import Receivers
 from .scene.resample import box_bounds
-from .scene.sources import Reader, open_sources
 from .scene.surroundings import tell_surroundings
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
