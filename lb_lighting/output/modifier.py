@@ -38,6 +38,7 @@ def readers(objects, sources, depsgraph, chosen, notes):
     other places, of which the `notes` tell.
     """
     found, misplaced, instancers = [], {}, attribute.instancers(objects, depsgraph)
+    sharers = attribute.sharers()
     for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
         if ob.type != "MESH" or not source.shows_light:
             continue
@@ -46,7 +47,7 @@ def readers(objects, sources, depsgraph, chosen, notes):
                 f"'{instancers[ob].name}' instances '{ob.name}' and shows the light of that; make "
                 "its instances real, and select them, to light them where they are."
             )
-        reason = attribute.misplaced(ob, depsgraph)
+        reason = attribute.misplaced(ob, depsgraph, sharers)
         if source.lights_instances:
             reason = "geometry nodes make instances, each of which has the light at its origin"
         is_chosen = chosen and source.is_foliage
