@@ -8,6 +8,7 @@ from ..ours import is_ours
 from . import smoke, volumes
 from .materials import has_volume
 from .meshes import world_parts
+from .remarks import listed
 from .sources import SmokeSource, VolumeSource
 from .surface_sources import FoliageSource, OccluderSource, SolidSource
 
@@ -79,9 +80,8 @@ def _skipped(objects, they, it):
     """[the note that names the skipped `objects`], or none where there are none."""
     if not objects:
         return []
-    names = ", ".join(ob.name for ob in objects[:NAMED])
-    more = f" and {len(objects) - NAMED} more" if len(objects) > NAMED else ""
-    return [f"Skipped, as {f'they {they}' if len(objects) > 1 else f'it {it}'}: {names}{more}."]
+    names = listed([ob.name for ob in objects], NAMED)
+    return [f"Skipped, as {f'they {they}' if len(objects) > 1 else f'it {it}'}: {names}."]
 
 
 def _is_surface(ob):
