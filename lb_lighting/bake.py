@@ -23,9 +23,10 @@ from .output import attribute, modifier, shading, shading_surfaces, volume
 from .output.ambient import STAND_OFF
 from .scene.frames import at_frame
 from .scene.lights import scene_lights
+from .scene.opening import open_sources
+from .scene.reader import Reader
 from .scene.receivers import Receivers
 from .scene.resample import box_bounds
-from .scene.sources import Reader, open_sources
 from .scene.surroundings import tell_surroundings
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
@@ -242,7 +243,8 @@ def gather(context, objects, options, path=None, decided=None, require=None, fra
         surfaces = {
             number: attribute.read_vertices(ob, depsgraph, source.is_body, source.is_wall)
             for number, (ob, source) in enumerate(zip(objects, sources, strict=True))
-            if source.shows_light and ob.type == "MESH" and number not in readers
+            if source.shows_light and ob.type == "MESH"
+            if number not in readers or _keeps_mean(ob, options)
         }
         shining = any(source.shines for source in sources)
         receivers = Receivers.of(objects, sources, depsgraph, box)
@@ -292,7 +294,8 @@ def apply(context, objects, task, lit, frames=None, looks=None):
         shading_surfaces.light_surface(ob, *how)
     for number in lit.readers:
         ob, source = objects[number], task.sources[number]
-        attribute.remove_ambient(ob)
+        if number not in lit.ambient:
+            attribute.remove_ambient(ob)
         off = STAND_OFF * lit.domain.voxel_size if source.is_wall else 0.0
         modifier.add_modifier(ob, shown, task.whole, source.is_body, off)
         shading_surfaces.light_surface(ob, *how)
@@ -309,6 +312,14 @@ def _readers(objects, sources, depsgraph, options, decided, notes):
     own, of_own = [objects[n] for n in new], [sources[n] for n in new]
     read = modifier.readers(own, of_own, depsgraph, chosen, notes)
     return decided.readers | {source.name: n in read for n, source in enumerate(of_own)}
+
+
+def _keeps_mean(ob, options):
+    """Whether a mesh that a modifier lights has light on its vertices, too.
+
+    Where several objects share it: for those of them that no modifier lights.
+    """
+    return ob.data.users > 1 and options.foliage != "MODIFIER"
 
 
 def _takes_sky(objects, sources, lights, notes):

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from .errors import SettingsError, require_known
-from .scene.sources import CUSTOM, FROM_MATERIAL
+from .scene.reader import CUSTOM, FROM_MATERIAL
 from .transport.medium import PRESETS, optics_by_band
 from .transport.planner import TARGETS
 from .transport.solver import MODELS, Settings

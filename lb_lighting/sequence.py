@@ -284,6 +284,7 @@ class Sequence:
                 f"'{task.sources[number].name}' shows the light of the last frame in all of them; "
                 "volumes, and foliage that has its light from the modifier, show that of each."
                 for number in lit.ambient
+                if number not in lit.readers
             )
         found.extend(
             f"The keys of '{ob.name}' show it again beside its light; remove those of its "

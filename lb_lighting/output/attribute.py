@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces out: light of the lattice as colour attributes on the points of meshes."""
 
+from collections import Counter
+
 import bpy
 import numpy as np
 
@@ -14,10 +16,18 @@ def read_vertices(ob, depsgraph, is_body=False, is_wall=False):
     return Vertices(*vertices(ob, depsgraph), is_body, is_wall)
 
 
-def misplaced(ob, depsgraph):
+def sharers():
+    """Counter {mesh: how many objects renders show it by}, of meshes that several objects have."""
+    return Counter(ob.data for ob in bpy.data.objects if _is_sharer(ob))
+
+
+def _is_sharer(ob):
+    return ob.type == "MESH" and ob.data.users > 1 and not ob.hide_render and bool(ob.users_scene)
+
+
+def misplaced(ob, depsgraph, sharers):
     """Why light on the vertices of the mesh object `ob` would be that of other places, or None."""
-    others = (other for other in bpy.data.objects if other.data == ob.data and other != ob)
-    if ob.data.users > 1 and any(o.users_scene and not o.hide_render for o in others):
+    if sharers[ob.data] > _is_sharer(ob):
         return "the mesh is shared with other objects"
     if len(ob.evaluated_get(depsgraph).data.vertices) != len(ob.data.vertices):
         return "modifiers add or remove vertices"

@@ -12,6 +12,7 @@ Foliage has it where the user chose so; any mesh has it whose vertices cannot ho
 """
 
 from ..ours import TAG, is_ours
+from ..scene.remarks import listed
 from . import attribute
 from .ambient import (
     AMBIENT_ATTRIBUTE,
@@ -28,7 +29,6 @@ from .vdb import AXES
 GRID_GROUP = "LB Ambient Grid"
 WALL_GROUP = "LB Ambient Grid of Walls"
 WHOLE, BODY, STAND_OFF = "All Light", "Filled", "Stand Off"  # inputs
-NAMED = 5  # objects in a note; of more it says how many
 
 
 def readers(objects, sources, depsgraph, chosen, notes):
@@ -38,6 +38,7 @@ def readers(objects, sources, depsgraph, chosen, notes):
     other places, of which the `notes` tell.
     """
     found, misplaced, instancers = [], {}, attribute.instancers(objects, depsgraph)
+    sharers = attribute.sharers()
     for number, (ob, source) in enumerate(zip(objects, sources, strict=True)):
         if ob.type != "MESH" or not source.shows_light:
             continue
@@ -46,7 +47,7 @@ def readers(objects, sources, depsgraph, chosen, notes):
                 f"'{instancers[ob].name}' instances '{ob.name}' and shows the light of that; make "
                 "its instances real, and select them, to light them where they are."
             )
-        reason = attribute.misplaced(ob, depsgraph)
+        reason = attribute.misplaced(ob, depsgraph, sharers)
         if source.lights_instances:
             reason = "geometry nodes make instances, each of which has the light at its origin"
         is_chosen = chosen and source.is_foliage
@@ -55,16 +56,10 @@ def readers(objects, sources, depsgraph, chosen, notes):
         if reason and not is_chosen:
             misplaced.setdefault(reason, []).append(ob.name)
     notes.extend(
-        f"{_listed(names)}: {reason}. The modifier {GRID_GROUP} looks the light up there."
+        f"{listed(names)}: {reason}. The modifier {GRID_GROUP} looks the light up there."
         for reason, names in misplaced.items()
     )
     return found
-
-
-def _listed(names):
-    """Some of `names`, and how many more there are."""
-    listed = ", ".join(f"'{name}'" for name in names[:NAMED])
-    return listed if len(names) <= NAMED else f"{listed} and {len(names) - NAMED} more"
 
 
 def add_modifier(ob, baked, whole=False, is_body=False, stand_off=0.0):

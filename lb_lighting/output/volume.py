@@ -13,7 +13,7 @@ from mathutils import Matrix
 
 from ..errors import OutputError
 from ..ours import TAG, is_ours
-from ..scene.sources import may_be_lit
+from ..scene.opening import may_be_lit
 from .keys import remove_keys
 from .vdb import is_baked_file
 

@@ -15,7 +15,7 @@ from ..options import Options
 from ..output.ambient import ambient_grids
 from ..output.look import Look
 from ..output.vdb import EMISSION_GRID, leftovers, new_token, volume_light, write_vdb
-from ..scene.sources import mixture, occluders, with_shadows
+from ..scene.mixture import mixture, occluders, with_shadows
 from ..transport import gather
 from ..transport.device import troubles
 from ..transport.field import Report

@@ -7,7 +7,7 @@ from bpy.props import BoolProperty
 from .. import bake
 from ..errors import LightingError
 from ..output import shading
-from ..scene.sources import CUSTOM
+from ..scene.reader import CUSTOM
 from ..sequence import Sequence
 from . import running
 

@@ -6,7 +6,8 @@ import textwrap
 import bpy
 
 from ..output.shading import uses_light
-from ..scene.sources import CUSTOM, FROM_MATERIAL, SURFACE_TYPES
+from ..scene.opening import SURFACE_TYPES
+from ..scene.reader import CUSTOM, FROM_MATERIAL
 from . import running
 from .operators import (
     LB_OT_bake,

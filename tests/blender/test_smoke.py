@@ -26,9 +26,9 @@ def read(lb, ob, domain, name="density"):
 
 def share(lb, ob, domain, medium):
     """(the one share of the smoke, notes)."""
-    sources = part(lb, "scene.sources")
-    reader = sources.Reader(bpy.context.evaluated_depsgraph_get(), medium, 30.0, "")
-    (source,) = sources.open_sources([ob], reader)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    reader = part(lb, "scene.reader").Reader(depsgraph, medium, 30.0, "")
+    (source,) = part(lb, "scene.opening").open_sources([ob], reader)
     (found,) = source.shares(domain)
     return found, reader.notes
 
@@ -105,9 +105,9 @@ def test_fire_shines_by_its_temperature(lb, tmp_path):
     ob.data.materials.append(volume_material(density=2.0))
     inputs = ob.data.materials[0].node_tree.nodes["Principled Volume"].inputs
     inputs["Blackbody Intensity"].default_value = 1
-    sources = part(lb, "scene.sources")
-    reader = sources.Reader(bpy.context.evaluated_depsgraph_get(), "MATERIAL", 30.0, "")
-    (source,) = sources.open_sources([ob], reader)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    reader = part(lb, "scene.reader").Reader(depsgraph, "MATERIAL", 30.0, "")
+    (source,) = part(lb, "scene.opening").open_sources([ob], reader)
     assert reader.notes == []
     domain = lattice(lb, ob)
     emission = source.emission(domain)

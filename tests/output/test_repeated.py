@@ -130,6 +130,7 @@ def test_each_of_those_that_share_a_mesh_has_its_own_light(twins):
         assert is_right(twin, outcome.field)
         (note,) = about(outcome.notes, twin.name)
         assert "mesh is shared" in note
+    assert has_ambient(twins[0])
     means = [shown(twin).mean() for twin in twins]
     assert max(means) > 1.1 * min(means)
     bake.clear(bpy.context)
@@ -168,7 +169,7 @@ def test_bodies_and_walls_are_lit_where_they_are(scene, role):
     outcome = bake_light(one, two, row, leaves)
     occlusion = outcome.baking.task.problem().medium.occlusion
     for ob, reason in ((one, "shared"), (two, "shared"), (row, "modifiers")):
-        assert not has_ambient(ob)
+        assert has_ambient(ob) == (reason == "shared")
         vertices = Vertices(
             read_mesh(evaluated(ob).data),
             np.array(ob.matrix_world),

@@ -105,7 +105,8 @@ class TestRayVisibility:
             scene_lights(bpy.context.scene, depsgraph, [], True, receivers(volumes=[add_box()]))
 
     def test_of_a_solid_what_fills_it_counts(self, tmp_path):
-        from lb_lighting.scene.sources import Reader, open_sources
+        from lb_lighting.scene.opening import open_sources
+        from lb_lighting.scene.reader import Reader
 
         ball = scenery.add_ball(material=scenery.volume_material(), role="SOLID")
         leaves, fog = scenery.add_leaves(), scenery.add_fog(tmp_path)

@@ -9,7 +9,8 @@ from lb_lighting import bake, cli
 from lb_lighting.errors import LightingError, SceneError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.volume import RESULT, baked_volumes
-from lb_lighting.scene.sources import FROM_MATERIAL, Reader, open_sources
+from lb_lighting.scene.opening import open_sources
+from lb_lighting.scene.reader import FROM_MATERIAL, Reader
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.scenery import bake_light
@@ -95,19 +96,21 @@ class TestReading:
         found, (note,) = read(*others[:5], bpy.data.objects["leaves"])
         assert found == ["leaves"]
         assert note == (
-            "Skipped, as they have neither a volume nor faces: eye, lamp, root, rig, cage."
+            "Skipped, as they have neither a volume nor faces: "
+            "'eye', 'lamp', 'root', 'rig', 'cage'."
         )
 
     def test_one_is_skipped(self):
         leaves, eye = scenery.add_leaves(), scenery.link("eye", bpy.data.cameras.new("eye"))
         found, notes = read(eye, leaves)
         assert found == ["leaves"]
-        assert notes == ["Skipped, as it has neither a volume nor faces: eye."]
+        assert notes == ["Skipped, as it has neither a volume nor faces: 'eye'."]
 
     def test_a_long_list_is_shortened(self):
         others = add_everything_else()
         _found, (note,) = read(*others, scenery.add_leaves())
-        assert note.endswith(": eye, lamp, root, rig, cage, path, words, noise and 3 more.")
+        names = "'eye', 'lamp', 'root', 'rig', 'cage', 'path', 'words', 'noise'"
+        assert note.endswith(f": {names} and 3 more.")
 
     def test_nothing_but_those_is_refused(self):
         with pytest.raises(SceneError, match=r"^'eye' has neither a volume nor faces; select"):
@@ -116,7 +119,7 @@ class TestReading:
     def test_what_is_hidden_is_skipped(self):
         leaves, away = scenery.add_leaves(), scenery.add_ball("away")
         away.hide_set(True)
-        assert read(leaves, away) == (["leaves"], ["Skipped, as it is hidden: away."])
+        assert read(leaves, away) == (["leaves"], ["Skipped, as it is hidden: 'away'."])
 
     @pytest.mark.parametrize("spoil", UNREADABLE, ids=lambda spoil: spoil.__name__)
     def test_what_cannot_be_read_is_left_out_and_named(self, spoil):
@@ -263,7 +266,7 @@ class TestCommandLine:
         scenery.link("eye", bpy.data.cameras.new("eye"))
         path = self.save(tmp_path)
         assert self.bake(path, "--objects", "eye", "leaves") == 0
-        assert "Skipped, as it has neither a volume nor faces: eye." in capsys.readouterr().out
+        assert "Skipped, as it has neither a volume nor faces: 'eye'." in capsys.readouterr().out
         assert is_lit(bpy.data.objects["leaves"])
         assert self.bake(path, "--objects", "eye") == 1
         assert "'eye' has neither a volume nor faces; select" in capsys.readouterr().err

@@ -7,7 +7,8 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene import smoke
-from lb_lighting.scene.sources import FROM_MATERIAL, Reader, open_sources
+from lb_lighting.scene.opening import open_sources
+from lb_lighting.scene.reader import FROM_MATERIAL, Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 from tests.scene.nodes import add_node, attribute, combine, connect, make_material, surface

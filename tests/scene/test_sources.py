@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene import sources
-from lb_lighting.scene.sources import FROM_MATERIAL, Reader, Share, mixture, open_sources
+from lb_lighting.scene.mixture import Share, mixture, occluders, with_shadows
+from lb_lighting.scene.opening import open_sources
+from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.sources import VolumeSource
+from lb_lighting.scene.surface_sources import SolidSource
 from lb_lighting.transport.lights import Sky, Sun
 from lb_lighting.transport.medium import PRESETS, Domain, Optics
 from tests import scenery
@@ -66,7 +69,7 @@ class TestRoles:
     )
     def test_of_an_object(self, tmp_path, make, kind):
         ((source,), _notes) = read(make(tmp_path))
-        assert type(source) is getattr(sources, kind)
+        assert type(source).__name__ == kind
 
     def test_a_body_is_shown_by_its_surface_or_else_as_a_volume(self):
         fog, glass = scenery.volume_material(), scenery.volume_material()
@@ -108,7 +111,7 @@ class TestRoles:
         principled = material.node_tree.nodes["Principled Volume"]
         material.node_tree.links.new(noise, principled.inputs["Density"])
         ((source,), _notes) = read(scenery.add_ball(material=material), medium="cloud")
-        assert type(source) is sources.SolidSource
+        assert type(source) is SolidSource
 
     def test_a_curve_is_lit_by_its_surface(self):
         bpy.ops.curve.primitive_bezier_circle_add()
@@ -206,7 +209,7 @@ class TestVolumes:
         ob.location = (0.2, 0, 0)
         ob.lb_lighting.role = "FOLIAGE"
         ((source,), notes) = read(ob)
-        assert type(source) is sources.VolumeSource
+        assert type(source) is VolumeSource
         assert notes == []
         assert np.mean(source.bounds, axis=0) == pytest.approx((0.2, 0, 0), abs=0.05)
         (found,) = source.shares(DOMAIN)
@@ -290,7 +293,7 @@ class TestOccluders:
     def read(self, *objects):
         found, notes = read(*objects)
         assert all(source.shares(DOMAIN) == [] for source in found)
-        return sources.occluders([source.occlusion(DOMAIN) for source in found]), notes, found
+        return occluders([source.occlusion(DOMAIN) for source in found]), notes, found
 
     def test_a_body_stops_light_and_throws_its_colour_back(self):
         material = scenery.leaf_material(color=(0.3, 0.2, 0.1))
@@ -352,7 +355,7 @@ class TestShadows:
 
     def test_leaves_shade_a_sun_by_what_they_show_it(self):
         found = share(scenery.add_leaves())
-        sun, sky = sources.with_shadows([self.SUN, self.SKY], [found])
+        sun, sky = with_shadows([self.SUN, self.SKY], [found])
         assert sun.shadow_density == pytest.approx(found.toward((0, 0, -1)))
         assert sky is self.SKY
 
@@ -363,14 +366,14 @@ class TestShadows:
             Share(leaf, Optics(0.5, 0.5, 0.1), lambda direction: 2 * leaf),
             Share(fog, Optics(4.0, 1.0)),
         ]
-        sun, _sky = sources.with_shadows([self.SUN, self.SKY], shares)
+        sun, _sky = with_shadows([self.SUN, self.SKY], shares)
         density, _optics = mixture(shares)
         assert density == pytest.approx(1 + 15 * leaf)
         assert sun.shadow_density == pytest.approx(2 + 15 * leaf)
 
     def test_of_what_is_alike_from_everywhere_is_none(self, tmp_path):
         lights = [self.SUN, self.SKY]
-        assert sources.with_shadows(lights, [share(scenery.add_fog(tmp_path))]) is lights
+        assert with_shadows(lights, [share(scenery.add_fog(tmp_path))]) is lights
 
 
 class TestMixture:

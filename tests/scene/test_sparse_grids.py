@@ -14,8 +14,9 @@ from mathutils import Euler, Matrix
 from lb_lighting.errors import SceneError
 from lb_lighting.scene import volumes
 from lb_lighting.scene.emission import Glow, shining
+from lb_lighting.scene.opening import open_sources
+from lb_lighting.scene.reader import FROM_MATERIAL, Reader
 from lb_lighting.scene.resample import Cells, translation
-from lb_lighting.scene.sources import FROM_MATERIAL, Reader, open_sources
 from lb_lighting.scene.sparse import Matter, SparseCells
 from lb_lighting.transport.medium import Domain
 from tests import scenery
