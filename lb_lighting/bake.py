@@ -274,6 +274,7 @@ def gather(context, objects, options, path=None, decided=None, require=None, fra
         },
         decided=decided,
         left_out=[],
+        is_frame=path is not None,
     )
 
 

@@ -3,13 +3,12 @@
 command line replaces a .blend only by one that can be read."""
 
 import os
-import shutil
 from pathlib import Path
 
 import bpy
 
 from .errors import OutputError
-from .output.vdb import unfinished
+from .output.vdb import link_or_copy
 from .output.volume import Frames, stored_path, unsaved_folder, volume_path
 
 EXTENSION_FOLDER = "baked"  # in the extension's own: where earlier versions kept unsaved light
@@ -126,15 +125,7 @@ def _copy(old, new):
     """Copy a file, unless it is there already: files of ours are never changed."""
     if new.exists() and new.stat().st_size == old.stat().st_size:
         return
-    try:
-        os.link(old, new)
-    except OSError:  # another disk, or one without links
-        part = unfinished(new)
-        try:
-            shutil.copy2(old, part)
-            os.replace(part, new)
-        finally:
-            part.unlink(missing_ok=True)
+    link_or_copy(old, new)
 
 
 def _require_whole(path):

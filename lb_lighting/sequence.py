@@ -6,8 +6,6 @@ lightings are never mixed. Other processes may bake the same frames into the sam
 """
 
 import contextlib
-import os
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from .ours import is_overridden
 from .output import shading, volume
 from .output.keys import are_keyed
 from .output.look import Look
-from .output.vdb import new_token, read_whole, unfinished, write_empty
+from .output.vdb import link_or_copy, read_whole, write_empty
 from .tasks.light import ESSENCE, LIGHTS, LOOK, SOURCES, Decided
 
 EMPTY = "empty"  # in a file's metadata: why there is nothing to light
@@ -331,17 +329,11 @@ def _decided(folder, options):
 def _link(old, new):
     """Let the file `old` be found at `new`, too."""
     try:
-        os.link(old, new)
-    except OSError:  # not all disks can
-        part = unfinished(new, new_token())
-        try:
-            shutil.copyfile(old, part)
-            os.replace(part, new)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise OutputError(
-                f"{new} could not be written; choose a folder that is writable and has free space."
-            ) from error
+        link_or_copy(old, new)
+    except OSError as error:
+        raise OutputError(
+            f"{new} could not be written; choose a folder that is writable and has free space."
+        ) from error
 
 
 def _named(frames):

@@ -142,7 +142,7 @@ class TestFirstSave:
 
     def test_frames_that_are_not_finished_stay_where_they_are(self, scene, home, project, tmp_path):
         frames = baked_path(light(scenery.add_fog(tmp_path), folder=home, frames=(1, 2))).parent
-        vdb.unfinished(frames / "frame_0003.vdb").write_bytes(b"a part")
+        vdb.unfinished(frames / "frame_0003.vdb", "another").write_bytes(b"a part")
         save(project / "scene.blend")
         assert len(list((project / frames.name).iterdir())) == 2
 

@@ -5,6 +5,7 @@ Needs no Blender, and is written by the solver's process.
 """
 
 import os
+import shutil
 import uuid
 from pathlib import Path
 
@@ -202,6 +203,19 @@ def new_token():
 def unfinished(path, token):
     """Where the bake of that token keeps the file that is to be `path` until it is whole."""
     return Path(path).with_name(f".{Path(path).name}.{token}.part")
+
+
+def link_or_copy(old, new):
+    """Let the file `old` be found at `new`, too, whole or not at all. Raises OSError."""
+    try:
+        os.link(old, new)
+    except OSError:  # another disk, or one without links
+        part = unfinished(new, new_token())
+        try:
+            shutil.copy2(old, part)
+            os.replace(part, new)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def leftovers(path, token):

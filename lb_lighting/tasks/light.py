@@ -69,8 +69,8 @@ class Problem:
     """A scene as the solver sees it.
 
     medium  in SI units
-    shown   (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone, for
-            surfaces show their light themselves
+    shown   (density (nx, ny, nz), Optics) of what the lit volume renders: the volumes alone,
+            where there are any, for surfaces show their light themselves
     lights  transport lights
     """
 
@@ -132,6 +132,7 @@ class Light:
     facts     {name: value} that the file is to carry, besides options, report and coefficients
     decided   what another frame has `Decided`; whether surfaces show all light is so in any case
     left_out  [source] that turn out to be unreadable on the way
+    is_frame  whether it is one of a sequence
     token     of this bake, which tells its file from those of others
     """
 
@@ -146,6 +147,7 @@ class Light:
     facts: dict
     decided: Decided
     left_out: list
+    is_frame: bool
     token: str = field(default_factory=new_token)
 
     @property
@@ -259,8 +261,11 @@ class Light:
             occlusion=occlusion,
             occlusion_albedo=np.broadcast_to(albedo, (bands, *albedo.shape[1:])),
         )
-        is_seen = shines or any(np.any(share.density) for share in volumes)
-        shown = mixture(volumes, shines) if volumes and is_seen else (0 * density, optics)
+        shown = density, optics
+        if volumes and (shines or any(np.any(share.density) for share in volumes)):
+            shown = mixture(volumes, shines)
+        elif volumes or self.is_frame:  # there are none here, but other frames may have some
+            shown = np.zeros_like(density), optics
         return Problem(medium, shown, with_shadows(self.lights, everything))
 
     def _emission(self, domain):

@@ -182,7 +182,7 @@ class TestQuality:
         scenery.select(scenery.add_fog(tmp_path))
         scene.lb_lighting.quality = "preview"
         assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
-        assert any("of all light" in line for line in running.last)
+        assert any("of the light that is seen" in line for line in running.last)
         assert any("the target is 20%" in line for line in running.last)
         assert running.plan.quality == "preview"
 
