@@ -62,7 +62,12 @@ def find_grid(ob, depsgraph, name="density"):
     geometry, grids = _loaded(ob, depsgraph)
     names = [grid.name for grid in grids]
     if name not in names:
-        raise EmptyError(f"'{ob.name}' has no grid '{name}'; choose one of: {', '.join(names)}.")
+        known = list(filter(None, names))
+        if known:
+            advice = f"choose one of: {', '.join(known)}"
+        else:
+            advice = "its grids have no names; name the grid in the program that wrote the file"
+        raise EmptyError(f"'{ob.name}' has no grid '{name}'; {advice}.")
     if grids.frame_filepath and not ob.modifiers:
         return Grid(name, grids.frame_filepath)
     with tempfile.TemporaryDirectory() as folder:
@@ -151,6 +156,11 @@ def _loaded(ob, depsgraph):
             f"({grids.error_message}); correct its path."
         )
     if not len(grids):
+        if geometry.volume.is_sequence and not grids.frame_filepath:
+            raise EmptyError(
+                f"'{ob.name}' shows no file of its sequence at this frame; correct its start, its "
+                "number of frames or its mode."
+            )
         raise EmptyError(f"The volume of '{ob.name}' has no grids; choose a file that has some.")
     return geometry, grids
 

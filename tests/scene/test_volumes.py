@@ -123,6 +123,20 @@ class TestSources:
         with pytest.raises(SceneError, match=r"no grid 'smoke'.*density.*heat"):
             volumes.find_grid(add_volume(path), depsgraph(), "smoke")
 
+    def test_grids_without_a_name_are_not_offered(self, tmp_path):
+        path = tmp_path / "blob.vdb"
+        openvdb.write(str(path), [make_grid(np.ones((4, 4, 4)), "")])
+        with pytest.raises(SceneError, match=r"no grid 'density'; .* have no names; name the grid"):
+            volumes.find_grid(add_volume(path), depsgraph())
+
+    def test_frame_outside_of_a_sequence_is_told_as_such(self, tmp_path):
+        openvdb.write(str(tmp_path / "blob_0001.vdb"), [make_grid(np.ones((4, 4, 4)))])
+        ob = add_volume(tmp_path / "blob_0001.vdb")
+        ob.data.is_sequence, ob.data.frame_start, ob.data.frame_duration = True, 5, 1
+        bpy.context.scene.frame_set(2)
+        with pytest.raises(SceneError, match="shows no file of its sequence at this frame"):
+            volumes.grid_names(ob, depsgraph())
+
     def test_volume_without_a_file(self):
         with pytest.raises(SceneError, match="no grids"):
             volumes.grid_names(add_volume(""), depsgraph())
