@@ -294,6 +294,7 @@ class Sequence:
 
     def _move(self, context, objects):
         """Go on in a new folder, with the frames that are there."""
+        volume.require_writable(folder_of(self.options))
         old = self.frames
         name = objects[0].name if objects else ""
         fresh = volume.fresh_frames_folder(folder_of(self.options), name)

@@ -9,7 +9,7 @@ import pytest
 
 from lb_lighting import bake, job
 from lb_lighting.bake import Options
-from lb_lighting.errors import SceneError, SolverError
+from lb_lighting.errors import OutputError, SceneError, SolverError
 from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.sequence import Sequence
@@ -50,6 +50,14 @@ def frames():
     """{name: time of its last change} of the frames that are shown."""
     folder = baked_path(baked()).parent
     return {path.name: path.stat().st_mtime_ns for path in sorted(folder.iterdir())}
+
+
+def test_missing_folder_is_told_as_for_a_single_bake(scene, fog, tmp_path):
+    nowhere = tmp_path / "nowhere"
+    with pytest.raises(OutputError, match="nowhere does not exist; choose another or make it"):
+        bake_frames(fog, folder=str(nowhere))
+    assert not nowhere.exists()
+    assert not fog.hide_render
 
 
 def test_frames_are_planned_once(scene, fog):
