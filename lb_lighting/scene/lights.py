@@ -16,6 +16,7 @@ from .shaders import Shader, linear_pixels, resolve
 
 _MANY_BOUNCES = 32  # of a lamp, from which on its light has faded before they are used up
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
+_UNEVEN = 0.05  # of the lengths of a spot's axes, and of the cosines between them
 
 
 PATTERNS = (
@@ -23,6 +24,7 @@ PATTERNS = (
     "nodes make: {}."
 )
 NEGATIVE = "Left out, because light cannot be negative here: {}."
+UNEVEN = "Counted with a round cone, although their scale stretches or skews it: {}."
 FEW_BOUNCES = "The light of {} goes on scattering, although Max Bounces ends it sooner."
 WORLD_VOLUME = (
     "The volume of {} is left out: it neither scatters nor dims light. A box with that volume "
@@ -90,6 +92,8 @@ def _lit_by(ob, matrix, receivers, remarks):
         remarks.add(SHADED, ob.name)
     if hasattr(ob.data, "cycles") and ob.data.cycles.max_bounces < _MANY_BOUNCES:
         remarks.add(FEW_BOUNCES, ob.name)
+    if ob.data.type == "SPOT" and _is_uneven(matrix):
+        remarks.add(UNEVEN, ob.name)
     return _lamp(ob.data, matrix, strength)
 
 
@@ -110,6 +114,14 @@ def _lamp(lamp, matrix, strength):
     angle = 2 * np.arctan(wide * np.tan(min(lamp.spot_size, np.pi - _NARROWEST) / 2))
     angle = max(float(angle), _NARROWEST)
     return SpotLight(place, tuple(-z), power, angle, lamp.spot_blend, radius)
+
+
+def _is_uneven(matrix):
+    """Whether the cone of a spot with that matrix is not a round one about its own axis."""
+    axes = np.array(matrix.to_3x3(), float)
+    lengths = np.linalg.norm(axes, axis=0)
+    skewed = np.abs(axes.T @ axes - np.diag(lengths**2)) > _UNEVEN * np.outer(lengths, lengths)
+    return bool(abs(lengths[0] - lengths[1]) > _UNEVEN * lengths[:2].max() or skewed.any())
 
 
 def _area_light(lamp, place, x, y, strength):

@@ -288,6 +288,19 @@ class TestSpots:
         (spot,) = lights()
         assert np.tan(spot.angle / 2) == pytest.approx(2 * np.tan(0.5))
 
+    def test_cones_that_are_not_round_are_named(self):
+        add_lamp("SPOT").scale = (2, 2, 1)
+        add_lamp("SPOT").scale = (2, 1, 1)
+        skewed = add_lamp("SPOT")
+        skewed.rotation_euler = (0.5, 0, 0)
+        skewed.parent = add_lamp("POINT")
+        skewed.parent.scale = (1, 2, 1)
+        notes = []
+        bpy.context.view_layer.update()
+        scene_lights(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), notes)
+        (note,) = [note for note in notes if "round cone" in note]
+        assert "'spot.001', 'spot.002'" in note
+
 
 class TestAreas:
     HEIGHT = 2.0  # m over the ground, of which the picture shows 0.25 m around the foot
