@@ -238,6 +238,7 @@ class SceneProperties(bpy.types.PropertyGroup):
         description="Where the .vdb is written; empty for the folder of the .blend. What is baked "
         "before the first save moves there with it",
         subtype="DIR_PATH",
+        options={"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"},
     )
 
 

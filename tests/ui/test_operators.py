@@ -64,6 +64,10 @@ class TestProperties:
         assert chosen.keys() == {field.name for field in fields(Options)}
         assert Options.of(scene) == Options(**chosen)
 
+    def test_folder_may_be_relative_to_the_blend(self):
+        folder = properties.SceneProperties.bl_rna.properties["folder"]
+        assert folder.is_path_supports_blend_relative
+
     def test_changes_come_before_the_scenes_own(self):
         bpy.context.scene.lb_lighting.resolution = 32
         options = Options.of(bpy.context.scene, resolution=48, padding=None)
