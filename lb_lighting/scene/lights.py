@@ -24,6 +24,7 @@ PATTERNS = (
     "nodes make: {}."
 )
 NEGATIVE = "Left out, because light cannot be negative here: {}."
+FLAT = "Left out, because they are scaled to nothing: {}."
 UNEVEN = "Counted with a round cone, although their scale stretches or skews it: {}."
 FEW_BOUNCES = "The light of {} goes on scattering, although Max Bounces ends it sooner."
 WORLD_VOLUME = (
@@ -88,6 +89,9 @@ def _lit_by(ob, matrix, receivers, remarks):
         return None
     if receivers and not receivers.take_object(ob, remarks):
         return None
+    if _is_flat(ob.data, matrix):
+        remarks.add(FLAT, ob.name)
+        return None
     if not ob.data.use_shadow:
         remarks.add(SHADED, ob.name)
     if hasattr(ob.data, "cycles") and ob.data.cycles.max_bounces < _MANY_BOUNCES:
@@ -103,7 +107,7 @@ def _lamp(lamp, matrix, strength):
         return Sun(tuple(-z), _scalar_if_grey(strength * _disk(lamp)))
     place = tuple(matrix.translation)
     if lamp.type == "AREA":
-        return _area_light(lamp, place, x, y, strength)
+        return _area_light(lamp, place, x, y, z, strength)
     power = _scalar_if_grey(strength * _sphere(lamp))
     # Without the soft falloff it is a sphere, which shines about as a point does.
     radius = lamp.shadow_soft_size if lamp.use_soft_falloff else 0.0
@@ -116,6 +120,13 @@ def _lamp(lamp, matrix, strength):
     return SpotLight(place, tuple(-z), power, angle, lamp.spot_blend, radius)
 
 
+def _is_flat(lamp, matrix):
+    """Whether a lamp with that matrix has no direction to shine in."""
+    x, y, z = (np.array(column, float) for column in matrix.to_3x3().col)
+    needed = {"SUN": z, "SPOT": z, "AREA": np.cross(x, y)}
+    return lamp.type in needed and not needed[lamp.type].any()
+
+
 def _is_uneven(matrix):
     """Whether the cone of a spot with that matrix is not a round one about its own axis."""
     axes = np.array(matrix.to_3x3(), float)
@@ -124,8 +135,8 @@ def _is_uneven(matrix):
     return bool(abs(lengths[0] - lengths[1]) > _UNEVEN * lengths[:2].max() or skewed.any())
 
 
-def _area_light(lamp, place, x, y, strength):
-    """x and y are the lamp's axes, of the length that it is scaled to."""
+def _area_light(lamp, place, x, y, z, strength):
+    """x, y and z are the lamp's axes, of the length that it is scaled to."""
     ellipse = lamp.shape in ("DISK", "ELLIPSE")
     u = x * lamp.size
     v = y * (lamp.size if lamp.shape in ("SQUARE", "DISK") else lamp.size_y)
@@ -133,8 +144,9 @@ def _area_light(lamp, place, x, y, strength):
         # Without normalization the strength is what each m^2 sends out.
         strength = strength * np.linalg.norm(np.cross(u, v)) * (np.pi / 4 if ellipse else 1)
     spread = max(lamp.spread, _NARROWEST)
-    # It shines along -z, and so on the side that y x x points to.
-    return AreaLight(place, tuple(v), tuple(u), _scalar_if_grey(strength), ellipse, spread)
+    # It shines along -z: on the side that y x x points to, or x x y where its scale mirrors it.
+    sides = (tuple(v), tuple(u)) if np.cross(y, x) @ z <= 0 else (tuple(u), tuple(v))
+    return AreaLight(place, *sides, _scalar_if_grey(strength), ellipse, spread)
 
 
 def _is_lamp(ob):

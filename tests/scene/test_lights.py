@@ -343,6 +343,23 @@ class TestAreas:
         assert area.u == pytest.approx(0.5 * rotation.to_matrix().col[1])
         assert (area.power, area.ellipse, area.spread) == (10.0, False, pytest.approx(pi))
 
+    @pytest.mark.parametrize(
+        "scale", [(-1, 1, 1), (1, 1, -1), (-1, -1, -1), (-1, -1, 1), (1, 1, 0)]
+    )
+    def test_mirrored_one_shines_where_cycles_lets_it(self, scale):
+        add_lamp("AREA", size=1.0).scale = scale
+        (area,) = lights()
+        assert np.cross(area.u, area.v) == pytest.approx((0, 0, -1 if scale[2] >= 0 else 1))
+
+    @pytest.mark.parametrize("kind", ["SUN", "SPOT", "AREA"])
+    def test_lamp_that_is_scaled_to_nothing_is_left_out(self, kind):
+        add_lamp(kind).scale = (0, 0, 0)
+        add_sun(energy=2.0)
+        notes = []
+        (sun,) = lights(notes)
+        assert sun.irradiance == pytest.approx(2.0)
+        assert notes == [f"Left out, because they are scaled to nothing: '{kind.lower()}'."]
+
     def test_portals_do_not_shine(self):
         add_lamp("AREA").data.cycles.is_portal = True
         with pytest.raises(LightError, match="no light"):
