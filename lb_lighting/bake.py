@@ -253,12 +253,7 @@ def gather(context, objects, options, path=None, decided=None, require=None, fra
     if decided.whole is None:
         whole = options.sky and _takes_sky(objects, sources, lights, reader.notes)
         decided = replace(decided, whole=whole)
-    reader.notes.extend(
-        f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
-        "convert it to a mesh."
-        for ob, source in zip(objects, sources, strict=True)
-        if source.shows_light and ob.type != "MESH"
-    )
+    reader.notes.extend(_without_mesh(objects, sources))
     return Light(
         options=options,
         sources=sources,
@@ -313,6 +308,16 @@ def _readers(objects, sources, depsgraph, options, decided, notes):
     own, of_own = [objects[n] for n in new], [sources[n] for n in new]
     read = modifier.readers(own, of_own, depsgraph, chosen, notes)
     return decided.readers | {source.name: n in read for n, source in enumerate(of_own)}
+
+
+def _without_mesh(objects, sources):
+    """[sentence] on those that could show light, but have nothing to show it on."""
+    return [
+        f"'{ob.name}' has no mesh of its own to show light on; make its instances real, or "
+        "convert it to a mesh."
+        for ob, source in zip(objects, sources, strict=True)
+        if source.shows_light and ob.type != "MESH"
+    ]
 
 
 def _keeps_mean(ob, options):
