@@ -131,7 +131,7 @@ class Baking(Job):
         self.options, self.frames = options, frames
         self.scene = context.scene.session_uid
         path = frames.path(frame) if frames else None
-        task = gather(context, objects, options, path, decided, _refuse_unwritable, frame)
+        task = gather(context, objects, options, path, decided, frame)
         self.objects = [source.uid for source in task.sources]
         super().__init__(task)
 
@@ -208,12 +208,11 @@ class Estimating(Job):
         return self.result()
 
 
-def gather(context, objects, options, path=None, decided=None, require=None, frame=None):
+def gather(context, objects, options, path=None, decided=None, frame=None):
     """The task `Light` that the scene poses at a frame.
 
     path     of the file that it is to write, or None for one that is new
     decided  what another frame has `Decided`, or None
-    require  see `open_sources`
     frame    of the scene, or None for the current one
 
     Its `sources` are those of `objects` that can be lit; their `uid` tells which. Notes name the
@@ -232,7 +231,7 @@ def gather(context, objects, options, path=None, decided=None, require=None, fra
             options.grid,
             custom=Optics(options.sigma_s, options.sigma_a, options.g),
         )
-        sources = open_sources(objects, reader, require)
+        sources = open_sources(objects, reader, _refuse_unwritable)
         lit = {source.uid for source in sources}
         objects = [ob for ob in objects if ob.session_uid in lit]
         box = _box(context, options.domain) if options.domain else None

@@ -312,7 +312,7 @@ class Sequence:
     def _drop_unused(self):
         """Delete the folder where nothing shows it."""
         if self.is_unused:
-            for path in self.frames.folder.glob("frame_*.vdb"):
+            for path in volume.Frames.files(self.frames.folder):
                 path.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 self.frames.folder.rmdir()
@@ -320,7 +320,7 @@ class Sequence:
 
 def _decided(folder, options):
     """What other frames in `folder` have `Decided`, if they were baked with the same options."""
-    for path in sorted(folder.glob("frame_*.vdb")):
+    for path in volume.Frames.files(folder):
         stamp = read_whole(path)
         if stamp.get(ESSENCE) == options.essence and EMPTY not in stamp:
             return Decided.read(stamp)

@@ -351,3 +351,18 @@ def test_a_cloud_that_ends_beside_a_plant_stays_hidden(scene, smoke):
     (shown,) = baked_volumes(scene)
     assert not shown.hide_render
     assert ob.hide_render
+
+
+def test_what_cannot_be_lit_beside_it_changes_no_frame(scene, fog, tmp_path):
+    """It is left out of bakes, and so of what frames are compared with."""
+    path = str(tmp_path / "library.blend")
+    leaves = scenery.add_leaves(count=20)
+    bpy.data.libraries.write(path, {leaves})
+    bpy.data.objects.remove(leaves)
+    with bpy.data.libraries.load(path, link=True) as (_there, here):
+        here.objects = ["leaves"]
+    scene.collection.objects.link(here.objects[0])
+    notes = bake_frames(fog, here.objects[0]).notes
+    assert any(note.startswith("'leaves' is left out.") for note in notes)
+    with pytest.raises(SceneError, match="are all baked"):
+        bake_frames(fog, here.objects[0])

@@ -13,7 +13,6 @@ from mathutils import Matrix
 
 from ..errors import OutputError
 from ..ours import TAG, is_ours
-from ..scene.opening import may_be_lit
 from .keys import remove_keys
 from .vdb import is_baked_file
 
@@ -111,9 +110,13 @@ def shows(scene, sources, frames):
 
 
 def _sequence_of(scene, sources):
-    """The baked Volume object that shows a sequence of the light of just `sources`, or None."""
+    """The baked Volume object that shows a sequence of the light of `sources`, or None.
+
+    Some of these may have been left out of it.
+    """
     for ob in baked_volumes(scene):
-        if ob.data.is_sequence and set(sources_of(scene, ob)) == set(filter(may_be_lit, sources)):
+        lit = sources_of(scene, ob)
+        if ob.data.is_sequence and lit and set(lit) <= set(sources):
             return ob
     return None
 

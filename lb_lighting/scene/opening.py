@@ -13,7 +13,6 @@ from .sources import SmokeSource, VolumeSource
 from .surface_sources import FoliageSource, OccluderSource, SolidSource
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "EMPTY"}
-DARK_TYPES = {"ARMATURE", "CAMERA", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
 NAMED = 8  # objects that one note lists by name
 
 _SURFACES = {"FOLIAGE": FoliageSource, "SOLID": SolidSource, "OCCLUDER": OccluderSource}
@@ -57,11 +56,6 @@ def open_sources(objects, reader, require=None):
         *(f"'{ob.name}' is left out. {error}" for ob, error in failed),
     ]
     return sources
-
-
-def may_be_lit(ob):
-    """Whether an object is of a kind that can have a volume or faces."""
-    return ob.type not in DARK_TYPES and (ob.type != "EMPTY" or ob.instance_type != "NONE")
 
 
 def _refuse(hidden, neither, failed):

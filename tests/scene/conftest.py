@@ -5,6 +5,8 @@ import bpy
 import numpy as np
 import pytest
 
+from tests.scene.against import look
+
 
 @pytest.fixture
 def render(tmp_path):
@@ -34,3 +36,11 @@ def render(tmp_path):
         return pixels.reshape(-1, 4)[:, :3].mean(axis=0)
 
     return mean_color
+
+
+@pytest.fixture
+def quick_look(tmp_path):
+    """Settings that bake within a second, and a camera; see `against`."""
+    settings = bpy.context.scene.lb_lighting
+    settings.resolution, settings.quality, settings.folder = 16, "CUSTOM", str(tmp_path)
+    look()

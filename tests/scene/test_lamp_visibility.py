@@ -10,7 +10,7 @@ from lb_lighting.scene.lights import scene_lights
 from lb_lighting.scene.receivers import Receivers, members
 from lb_lighting.transport.lights import PointLight, Sky, Sun
 from tests import scenery
-from tests.scene.against import even_world, look, over_cycles
+from tests.scene.against import even_world, over_cycles
 
 
 def receivers(surfaces=(), volumes=()):
@@ -44,13 +44,8 @@ def keep_to(lamp, *objects):
     return collection
 
 
+@pytest.mark.usefixtures("quick_look")
 class TestAgainstCycles:
-    @pytest.fixture(autouse=True)
-    def quick(self, tmp_path):
-        settings = bpy.context.scene.lb_lighting
-        settings.resolution, settings.quality, settings.folder = 16, "CUSTOM", str(tmp_path)
-        look()
-
     def test_a_lamp_that_volumes_do_not_see_leaves_them_dark(self, tmp_path):
         even_world(0.3)
         scenery.add_sun().visible_volume_scatter = False

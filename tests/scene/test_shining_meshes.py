@@ -13,7 +13,7 @@ from lb_lighting.scene.shining import MOST, Emitter, lamps_of
 from lb_lighting.transport.lights import AreaLight, PointLight
 from tests import scenery
 from tests.output.rendering import surface
-from tests.scene.against import even_world, look, over_cycles
+from tests.scene.against import even_world, over_cycles
 
 LOWER, UPPER = np.full(3, -1.0), np.full(3, 1.0)
 
@@ -51,13 +51,8 @@ def backfacing(material, seen_from):
     return material
 
 
+@pytest.mark.usefixtures("quick_look")
 class TestAgainstCycles:
-    @pytest.fixture(autouse=True)
-    def quick(self, tmp_path):
-        settings = bpy.context.scene.lb_lighting
-        settings.resolution, settings.quality, settings.folder = 16, "CUSTOM", str(tmp_path)
-        look()
-
     def test_a_panel_lights_leaves(self, tmp_path):
         even_world(0.05)
         add_panel().visible_camera = False
