@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where light leaves a medium for good, and how much of it comes back (docs/physics.md)."""
+"""Where light leaves a medium for good, and how much of it comes back (docs/theory/physics.md)."""
 
 import numpy as np
 

@@ -2,7 +2,7 @@
 """Scattered light found in larger voxels than unscattered light.
 
 What has scattered is smooth where what has not has shadows. In voxels of twice the edge the lattice
-has an eighth of the voxels and about half of the steps; docs/speed-and-accuracy.md has what it
+has an eighth of the voxels and about half of the steps; docs/measurements/speed-and-accuracy.md has what it
 costs in error.
 """
 

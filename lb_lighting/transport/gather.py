@@ -5,7 +5,7 @@ The lattice tells how much light there is, and its net flux. What such a medium 
 lamp's way hangs on more than that: on what is left of the lamp's direction after a few scatterings.
 So rays of many directions cross the box of the medium and gather what is scattered into them; at
 first of the lattice's light, then of what was gathered before: source iteration, as of discrete
-ordinates. What comes of it is kept as moments and lobes, see `Scattered`; docs/physics.md says what
+ordinates. What comes of it is kept as moments and lobes, see `Scattered`; docs/theory/physics.md says what
 that was measured to be worth.
 """
 

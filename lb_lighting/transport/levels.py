@@ -5,7 +5,7 @@ A step carries light one voxel on: on a lattice of half the resolution twice as 
 of the work. What a step still changes on the fine lattice is handed down as a source; what the
 coarse one makes of that is nearly all that is still to come, and is added. The coarse one is helped
 in the same way. (Multigrid, by correction: A. Brandt, "Multi-level adaptive solutions to
-boundary-value problems", 1977. docs/physics.md, "Few steps", says what was measured.)
+boundary-value problems", 1977. docs/theory/physics.md, "Few steps", says what was measured.)
 """
 
 from functools import cached_property

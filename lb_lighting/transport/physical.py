@@ -2,7 +2,7 @@
 """The physical model: light in SI units, split into what is exact and what the lattice carries.
 
 Unscattered light follows exact rays. What collides on them, or photons after some collisions, is
-handed to a lattice that carries scattered light alone. docs/physics.md derives the equations and
+handed to a lattice that carries scattered light alone. docs/theory/physics.md derives the equations and
 says what they neglect.
 """
 
@@ -330,7 +330,7 @@ class _Work:
                 medium,
                 lights,
                 self.settings.photons or _PHOTONS_A_VOXEL * prod(medium.shape),
-                # As little noise as any in a given time (docs/free-paths.md).
+                # As little noise as any in a given time (docs/theory/free-paths.md).
                 sampler="supervoxel_constant",
                 spacing=0.5,
                 direct=False,

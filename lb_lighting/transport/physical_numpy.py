@@ -5,7 +5,7 @@ runtime exists.
 It carries scattered light. f_m is the power that flows along direction m from a voxel to the next
 one, over the squared edge of a voxel, W/m^2. In a step what has arrived collides over the length
 l_m (voxels) between two centres, takes up what a source hands to the voxel, and flows on. The state
-is the light that has arrived. docs/physics.md derives what stands here; `Cells` says where it lies.
+is the light that has arrived. docs/theory/physics.md derives what stands here; `Cells` says where it lies.
 """
 
 from dataclasses import dataclass

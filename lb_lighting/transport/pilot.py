@@ -30,7 +30,7 @@ _ALONE = 4  # times the second of these, where there is no lattice
 _PROBES = 500  # photons that tell how often light collides, where no lattice does
 _SHARP, _MORE = 0.02, 4  # targets up to this need so many times more to see the lattice's error
 _CLOSE = 0.10  # targets up to this are compared with photons; the others with what is usual:
-_USUAL = 0.065  # error of the lattice without photons, the most of docs/physics.md
+_USUAL = 0.065  # error of the lattice without photons, the most of docs/theory/physics.md
 _FAR = 300  # collisions of a photon from which on the pilot's are handed over
 _ROUGH, _ROUGHEST = 0.5, 0.25  # rays where these are not what is looked at
 # What a pilot may take: collisions of photons (two cores do some 5 million a second), steps of a

@@ -2,7 +2,7 @@
 """From an error target to settings: the least work that should meet it.
 
 Nothing is guessed that a moment's trial tells: what the `Pilot` tells of the medium in few voxels
-is scaled to the voxels that are asked for. docs/speed-and-accuracy.md has what the scaling was
+is scaled to the voxels that are asked for. docs/measurements/speed-and-accuracy.md has what the scaling was
 measured on.
 """
 

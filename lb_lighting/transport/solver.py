@@ -111,7 +111,7 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     residual  called as residual(error) while light settles, with the estimate of its relative
               error, before the progress that this is; not by the paper's model
     Returns a `Field` in W/m^2. Raises MediumError, LightError, SettingsError or DeviceError.
-    Source: paper 1, section 3; docs/physics.md for the physical model.
+    Source: paper 1, section 3; docs/theory/physics.md for the physical model.
     """
     settings = settings or Settings()
     clock = Clock()

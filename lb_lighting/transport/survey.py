@@ -24,10 +24,10 @@ _VOXELS_OF_NOISE = 64  # along an edge: noise itself is never summed up
 
 # Optical depth times albedo up to which light that scattered twice and more is less than 5 % of a
 # picture (7 % if the medium scatters forward, away from the camera), and albedo up to which it is
-# at any depth: docs/free-paths.md, "Preview".
+# at any depth: docs/theory/free-paths.md, "Preview".
 _THIN, _DARK = 0.05, 0.04
 # Edge of a voxel in transport free paths: below the first, more voxels make light no more right
-# (docs/physics.md, "By resolution"); above the second, voxels are divided, as they are above the
+# (docs/theory/physics.md, "By resolution"); above the second, voxels are divided, as they are above the
 # last in diffusion lengths, where absorption fades light ("Voxels that are too thick").
 _RESOLVED, _THICKEST, _DARKEST = 0.5, 3.0, 0.9
 _DENSE = 10.0  # optical depth: a word only

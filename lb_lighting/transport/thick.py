@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Voxels that are too thick for the lattice, divided, and light put together in them again.
 
-docs/physics.md, "Voxels that are too thick", says what was measured.
+docs/theory/physics.md, "Voxels that are too thick", says what was measured.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from ..errors import MediumError
 from .medium import repeated
 
 # Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
-# paths of scattering, and in diffusion lengths of absorption (docs/physics.md says why).
+# paths of scattering, and in diffusion lengths of absorption (docs/theory/physics.md says why).
 _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_PIECES = 4
 

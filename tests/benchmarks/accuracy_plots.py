@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots of docs/physics.md, from build/bench/accuracy-cases.json and accuracy-refinement.json.
+"""The plots of docs/theory/physics.md, from build/bench/accuracy-cases.json and accuracy-refinement.json.
 
 python -m tests.benchmarks.accuracy_plots
 """
@@ -66,7 +66,7 @@ def cases():
     panel.grid(axis="y", lw=0.4, color="#dddddd")
     panel.set_axisbelow(True)
     panel.legend(fontsize=7, frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0, 1))
-    write_small(figure, "physics", "accuracy")
+    write_small(figure, "theory/physics", "accuracy")
 
 
 def refinement():
@@ -85,7 +85,7 @@ def refinement():
     panel.set_xlabel("voxels along an edge", fontsize=8)
     panel.set_ylabel("relative L2 error", fontsize=8)
     panel.legend(fontsize=7, frameon=False)
-    write_small(figure, "physics", "refinement")
+    write_small(figure, "theory/physics", "refinement")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ traces those that are stored no more or that have changed (or that are named), a
 tests/references/accuracy.npz and trade.npz, which takes many minutes; the benchmarks only read.
 
 Of the media in which speed and accuracy are traded only scattered light is traced. Unscattered
-light is that of many rays (docs/physics.md holds rays to photons): photons' own is noisy in
+light is that of many rays (docs/theory/physics.md holds rays to photons): photons' own is noisy in
 patterns, and the noise of a pattern cannot be taken out of an error.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The curves and pictures of docs/renders.md, from what `make bench-render` left in build/bench.
+"""The curves and pictures of docs/measurements/renders.md, from what `make bench-render` left in build/bench.
 
 python -m tests.benchmarks.render_plots
 """
@@ -19,7 +19,7 @@ from matplotlib import pyplot as plt
 from matplotlib.ticker import NullLocator
 from PIL import Image
 
-DOCS = Path(__file__).parents[2] / "docs" / "renders"
+DOCS = Path(__file__).parents[2] / "docs" / "measurements" / "renders"
 GROUPS = "clouds", "trees", "smoke", "teapot"
 TARGET = 0.06
 SHOWN = 16  # samples of our picture
@@ -89,7 +89,7 @@ def draw(panel, rows):
 
 
 def save(figure, name):
-    write(figure, DOCS.name, name)
+    write(figure, "measurements/renders", name)
     plt.close(figure)
 
 
@@ -114,7 +114,7 @@ def side_by_side(scene, rows):
     DOCS.mkdir(parents=True, exist_ok=True)
     name = slug(scene)
     Image.fromarray((255 * large).round().astype(np.uint8)).save(DOCS / f"{name}.webp", quality=80)
-    print(f"written to docs/renders/{name}.webp")
+    print(f"written to docs/measurements/renders/{name}.webp")
     for index in chosen:
         row = rows[index]
         baking = row.get("bake, processor s", 0)

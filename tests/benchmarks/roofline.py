@@ -6,7 +6,7 @@
 Counts what a step of the lattice reads, writes and computes for a cell, by its assembly for NVIDIA
 (offline.py), and prints for some cards the voxels a second and the seconds of a solve of 128^3
 voxels that their published bandwidth and arithmetic allow: computed, not measured, for nobody here
-has a card. Writes build/bench/roofline.json, and docs/performance/roofline.webp, where the measured
+has a card. Writes build/bench/roofline.json, and docs/measurements/performance/roofline.webp, where the measured
 points are those of build/bench/speed-steps.json (`make bench-speed`).
 """
 
@@ -24,7 +24,7 @@ from tests.benchmarks.table import BUILD, publish
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-DOCS = Path(__file__).parents[2] / "docs" / "performance"
+DOCS = Path(__file__).parents[2] / "docs" / "measurements" / "performance"
 EDGE, STEPS = 128, 176  # a solve of a cloud to 1 %, as speed.py prints
 CELLS = Cells((EDGE,) * 3).count / EDGE**3  # for a voxel: of the vacuum around them, too
 ROOF_BYTES = CELLS * 2 * 18 * 4  # that the kernel without collisions reads and writes for a voxel
@@ -96,7 +96,7 @@ def draw(moved, flops):
     figure.tight_layout()
     DOCS.mkdir(parents=True, exist_ok=True)
     figure.savefig(DOCS / "roofline.webp", dpi=110, pil_kwargs={"quality": 80})
-    print("written to docs/performance/roofline.webp")
+    print("written to docs/measurements/performance/roofline.webp")
 
 
 def main():

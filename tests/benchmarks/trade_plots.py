@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots and the table of docs/speed-and-accuracy.md, from build/bench/trade*.json.
+"""The plots and the table of docs/measurements/speed-and-accuracy.md, from build/bench/trade*.json.
 
 python -m tests.benchmarks.trade_plots
 """
@@ -79,7 +79,7 @@ def fronts():
     handles, labels = panels.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, frameon=False, ncols=4, loc="lower center")
     figure.text(0.5, 0.05, "work: processor time, over that of the default settings", ha="center")
-    write_small(figure, "speed-and-accuracy", "fronts", bottom=0.07)
+    write_small(figure, "measurements/speed-and-accuracy", "fronts", bottom=0.07)
 
 
 def kept():
@@ -110,7 +110,7 @@ def kept():
     for factor in (0.5, 2):
         seconds.plot((0.03, 100), (0.03 * factor, 100 * factor), lw=0.6, ls="--", color="#444444")
     errors.legend(fontsize=7, frameon=False)
-    write_small(figure, "speed-and-accuracy", "planner")
+    write_small(figure, "measurements/speed-and-accuracy", "planner")
 
 
 def table():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the small pictures of docs/gallery.md from those that `make demo` left in build/demo."""
+"""Makes the small pictures of docs/user/gallery.md from those that `make demo` left in build/demo."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ QUALITY = 95  # percent
 
 
 def main():
-    target = ROOT / "docs" / "gallery"
+    target = ROOT / "docs" / "user" / "gallery"
     target.mkdir(exist_ok=True)
     settings = bpy.context.scene.render.image_settings
     settings.media_type, settings.file_format = "IMAGE", "WEBP"

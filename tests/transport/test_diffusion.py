@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The physical lattice against what docs/physics.md derives: how light diffuses on it, how it is
+"""The physical lattice against what docs/theory/physics.md derives: how light diffuses on it, how it is
 absorbed, and where it ends at the domain's faces. The paper's equation 4 is in test_lattice.py.
 """
 
@@ -185,7 +185,7 @@ def test_light_of_a_white_cube_dies_away_as_diffusion_says(n, depth):
 def decay_of_transport(albedo, g):
     """By how many e-foldings light fades over a mean free path, deep in a medium.
 
-    The moments of the transfer equation are a continued fraction (docs/physics.md).
+    The moments of the transfer equation are a continued fraction (docs/theory/physics.md).
     """
     order = np.arange(200)
     losses = (2 * order + 1) * (1 - albedo * g**order)
@@ -239,7 +239,7 @@ def test_transport_decays_as_is_known():
 )
 def test_light_fades_nearly_as_in_nature(albedo, g, diffusion, fine, coarse, half, most):
     """Errors in percent: of diffusion, and of the lattice in voxels 1/4 and 1 free path thick, and
-    of .45 and .9 e-foldings. The table of docs/physics.md."""
+    of .45 and .9 e-foldings. The table of docs/theory/physics.md."""
     exact = decay_of_transport(albedo, g)
     by_diffusion = np.sqrt(3 * (1 - albedo) * (1 - albedo * g))
 

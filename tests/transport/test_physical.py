@@ -400,7 +400,7 @@ def test_a_wall_throws_a_shadow_and_reflects_by_its_albedo():
 )
 def test_light_between_two_walls_is_that_of_photons(density, albedo, too_much):
     """A corridor: what its walls reflect is not caught between them. In the void too much of it
-    gets to the other wall: no light grazes walls there (docs/physics.md, "Where not to trust it").
+    gets to the other wall: no light grazes walls there (docs/theory/physics.md, "Where not to trust it").
     """
     occlusion = np.zeros((8, 8, 8))
     occlusion[[1, 6]] = 1

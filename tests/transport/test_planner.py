@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is chosen for an error target; that targets are met is in docs/speed-and-accuracy.md."""
+"""What is chosen for an error target; that targets are met is in docs/measurements/speed-and-accuracy.md."""
 
 from dataclasses import replace
 from math import inf
