@@ -120,12 +120,7 @@ def bakes(found, folder):
     """As `solves`, of what bakes write into a scene."""
     import bpy
 
-    bpy.utils.expose_bundled_modules()
-
-    import lb_lighting
     from tests import scenery
-
-    lb_lighting.register()
 
     def baked(name, make, **changes):
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -188,6 +183,13 @@ def everything():
             for case, parts in make(found):
                 for part, values in parts.items():
                     yield f"{found.label}: {case}: {part}", values
+    import bpy
+
+    bpy.utils.expose_bundled_modules()
+
+    import lb_lighting
+
+    lb_lighting.register()
     with tempfile.TemporaryDirectory() as folder:
         for found in (device.devices()[0], device.numpy_device()):
             for case, parts in bakes(found, folder):
