@@ -19,19 +19,19 @@ from .clearing import clear, release
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
-from .output import attribute, modifier, shading, shading_surfaces, volume
+from .output import attribute, modifier, shading_surfaces, shading_volumes, volume
 from .output.ambient import STAND_OFF
 from .scene.frames import at_frame
-from .scene.lights import scene_lights
+from .scene.grids.resample import box_bounds
+from .scene.lights.lamps import scene_lights
+from .scene.lights.receivers import Receivers
 from .scene.opening import open_sources
 from .scene.reader import Reader
-from .scene.receivers import Receivers
-from .scene.resample import box_bounds
 from .scene.surroundings import tell_surroundings
 from .tasks.estimate import Estimate
 from .tasks.light import FIELD, Decided, Light, Lit
 from .ties import mend
-from .transport.lights import Sky
+from .transport.lights.lamps import Sky
 from .transport.medium import Optics
 
 __all__ = [
@@ -412,7 +412,8 @@ def _show_volume(context, objects, task, lit, frames, looks):
     gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects and not others]
     release(context, gone + volume.lost_sources(context.scene), [])
     mode = task.options.mode
-    shading.shade_frames(ob, mode, looks or {task.facts["frame"]: lit.look}, task.options.strength)
+    looks = looks or {task.facts["frame"]: lit.look}
+    shading_volumes.shade_frames(ob, mode, looks, task.options.strength)
     lost = {task.sources[number] for number in lit.left_out}
     volumes = any(source.is_volume for source in task.sources if source not in lost)
     if volumes or not others:
@@ -423,9 +424,9 @@ def _show_volume(context, objects, task, lit, frames, looks):
         if source.is_volume and mode == "REPLACE" and source not in lost:
             # Blender deselects what is hidden; the next bake is to find it all the same.
             ob.select_set(ob.select_get() or own.select_get())
-            shading.hide_source(own)
+            shading_volumes.hide_source(own)
         else:
-            shading.show_source(own)
+            shading_volumes.show_source(own)
     if volumes:
-        shading.prepare_scene(context.scene)
+        shading_volumes.prepare_scene(context.scene)
     return ob

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from .errors import OutputError
-from .output import attribute, modifier, shading, shading_surfaces, volume
+from .output import attribute, modifier, shading_surfaces, shading_volumes, volume
 from .ties import mend
 
 
@@ -73,8 +73,8 @@ def clear(context):
     for ob in baked:
         volume.remove_baked(ob)
     volume.remove_unused(unseen)
-    shading.restore_scene(scene)
-    shading.remove_unused()
+    shading_volumes.restore_scene(scene)
+    shading_volumes.remove_unused()
     return Cleared(count, list(dict.fromkeys(files)))
 
 
@@ -83,7 +83,7 @@ def release(context, sources, baked):
     selected = any(ob.select_get() for ob in baked)
     for ob in sources:
         was_hidden = ob.hide_viewport
-        shading.show_source(ob)
+        shading_volumes.show_source(ob)
         volume.forget(ob)
         if selected and was_hidden and not ob.hide_viewport and _in_view(context, ob):
             ob.select_set(True)

@@ -8,7 +8,7 @@ import numpy as np
 from .errors import SettingsError, require_known
 from .scene.reader import CUSTOM, FROM_MATERIAL
 from .transport.medium import PRESETS, optics_by_band
-from .transport.planner import TARGETS
+from .transport.planning.planner import TARGETS
 from .transport.solver import MODELS, Settings
 
 QUALITIES = (*TARGETS, CUSTOM)
@@ -32,14 +32,16 @@ class Options:
     optical_depth: float = 30.0  # of the domain's longest edge at density 1, for presets
     grid: str = ""  # grid to read from volumes, or "" for the material's
     model: str = "physical"  # or "paper"
-    quality: str = "draft"  # an error target, see transport/planner.py; or "CUSTOM": the next six
+    # An error target, see transport/planning/planner.py; or "CUSTOM": the next six count.
+    quality: str = "draft"
     scattering: str = "multiple"  # or "single"
     rays: float = 1.0  # of unscattered light along a voxel's edge, over the usual number
     merge: int = 1  # voxels along each edge that scattered light is found in as one
     handover: float = 0.0  # transport optical depths that photons are traced for
     photons: int = 0  # to trace, or 0 for as many as the voxels take
     tolerance: float = 2**-7  # relative error that the lattice's steps leave; as float32 has it
-    gather: bool = True  # what media scatter that do so forwards, see transport/gather.py
+    # Directions of forward scattering media: transport/ordinates/source_iteration.py.
+    gather: bool = True
     mode: str = "REPLACE"  # how a lit volume renders: "REPLACE" or "ADD"
     foliage: str = "ATTRIBUTE"  # how it gets its light: "ATTRIBUTE", or "MODIFIER" that reads it
     sky: bool = False  # bake its own light into surfaces, too, where nothing else shines

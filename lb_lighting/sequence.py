@@ -12,7 +12,7 @@ from pathlib import Path
 from .bake import Baking, find_objects, folder_of, gather, overridden, sources_of, why_wait
 from .errors import EmptyError, OutputError, SceneError
 from .ours import is_overridden
-from .output import shading, volume
+from .output import shading_volumes, volume
 from .output.keys import are_keyed
 from .output.look import Look
 from .output.vdb import link_or_copy, read_whole, write_empty
@@ -258,7 +258,7 @@ class Sequence:
             # By a path that is not the latest, for Blender to look for files again.
             path = self.frames.path(shown_anew[-1]) if shown_anew else like
             ob = volume.show_volume(context, objects, path, self.frames)
-            shading.shade_frames(ob, self.options.mode, self._looks, self.options.strength)
+            shading_volumes.shade_frames(ob, self.options.mode, self._looks, self.options.strength)
             self.is_unused = False
         outcome = self.outcome or Kept(f"The frames {first} to {last} are all baked", like)
         outcome.notes = [*self._remarks(objects), *self.notes]

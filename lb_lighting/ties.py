@@ -12,7 +12,7 @@ undo steps is neither kept nor undone by Blender. When the light is back, the so
 import bpy
 
 from .ours import TAG, is_ours, is_overridden
-from .output import shading
+from .output import shading_volumes
 from .output.volume import (
     APPENDED,
     IDENTITY,
@@ -39,11 +39,11 @@ def mend():
     for source in sources:
         lost = is_lost(source, scenes)
         if lost and is_overridden(source, "hide_render"):
-            shading.show_source(source)
+            shading_volumes.show_source(source)
             source[RETURNED] = True
         elif not lost and RETURNED in source:
             del source[RETURNED]
-            shading.hide_source(source)
+            shading_volumes.hide_source(source)
 
 
 def mend_appended(objects):
@@ -91,7 +91,7 @@ def _leave_copies(tied):
 def _leave(copy):
     """The object `copy` is the user's."""
     if RESULT in copy:
-        shading.show_source(copy)
+        shading_volumes.show_source(copy)
     copy.pop(TAG, None)
     copy.pop(APPENDED, None)
     forget(copy)

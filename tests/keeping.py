@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 
-from lb_lighting.output import shading, volume
+from lb_lighting.output import shading_volumes, volume
 from lb_lighting.output.vdb import write_vdb
 from lb_lighting.transport.medium import Domain
 
@@ -31,9 +31,9 @@ def light(*sources, folder, frames=None):
         for path in map(frames.path, reversed(list(frames))):
             write_light(path)
     ob = volume.show_volume(bpy.context, sources, path, frames)
-    shading.shade_volume(ob, "REPLACE", 3.6, 0.4)
+    shading_volumes.shade_volume(ob, "REPLACE", 3.6, 0.4)
     for source in sources:
-        shading.hide_source(source)
+        shading_volumes.hide_source(source)
     return ob
 
 

@@ -140,12 +140,12 @@ def test_numpy_loads_no_opencl():
 import sys
 import numpy as np
 from lb_lighting.transport import *
-from lb_lighting.transport import gather
+from lb_lighting.transport.ordinates import source_iteration
 medium = Medium(np.ones((4, 4, 4)), 0.5, 0.5, 0.1, 0.7)
 lights = [Sun((0, 0.1, -1), 1.0), PointLight((1, 1, 5), 1.0)]
 planned = plan(medium, lights, "preview", "NumPy")
 field = solve(medium, lights, planned.settings, "NumPy")
-gather.gather(medium, lights, field, "NumPy", 1)
+source_iteration.gather(medium, lights, field, "NumPy", 1)
 trace(medium, lights, 1000, device="NumPy")
 next(pictures(medium, lights, View.onto(medium.domain, (0, 1, 0)), "NumPy"))
 statistics(medium, "NumPy")

@@ -5,8 +5,9 @@ import bpy
 import pytest
 
 from lb_lighting import bake
-from lb_lighting.transport import Settings, gather
-from lb_lighting.transport.planner import Plan
+from lb_lighting.transport import Settings
+from lb_lighting.transport.ordinates import source_iteration
+from lb_lighting.transport.planning.planner import Plan
 from tests import scenery
 
 
@@ -25,7 +26,7 @@ def task(folder, quality, anisotropy=0.0):
 def test_drafts_gather_as_often_as_there_is_time_for(
     quality, seconds, times, scene, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(gather, "seconds", lambda *_arguments: seconds)
+    monkeypatch.setattr(source_iteration, "seconds", lambda *_arguments: seconds)
     light = task(tmp_path, quality, anisotropy=0.85)
     assert light.gathers(light.problem(), Settings()) == times
     notes = [note for note in light.reader.notes if "gathered" in note]

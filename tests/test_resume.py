@@ -13,8 +13,8 @@ import pytest
 import lb_lighting
 from lb_lighting import bake, worker
 from lb_lighting.bake import Options
+from lb_lighting.cache_key import essence
 from lb_lighting.errors import EmptyError, SceneError
-from lb_lighting.essence import essence
 from lb_lighting.output.modifier import has_modifier
 from lb_lighting.output.vdb import DENSITY_GRID, LIGHT_GRID, read_metadata, read_whole, unfinished
 from lb_lighting.output.volume import baked_path, baked_volumes

@@ -3,7 +3,7 @@
 reroutes, muted nodes and node groups."""
 
 from ..ours import is_ours
-from ..scene.shaders import Closure, may_be_positive
+from ..scene.nodes.shaders import Closure, may_be_positive
 
 # Nodes that hand on the closures of others.
 PASSING_NODES = {"MIX_SHADER", "ADD_SHADER", "REROUTE", "GROUP_INPUT"}

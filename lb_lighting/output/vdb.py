@@ -13,10 +13,10 @@ import numpy as np
 import openvdb
 
 from ..errors import OutputError
-from ..transport.crop import Box
-from ..transport.directions import FACTORS
-from ..transport.gather import beside_beams, of_lobes, way_of
-from ..transport.lights import BEAMS, Sun
+from ..transport.box import Box
+from ..transport.lights.lamps import BEAMS, Sun
+from ..transport.ordinates.quadrature import FACTORS
+from ..transport.ordinates.source_iteration import beside_beams, of_lobes, way_of
 
 LIGHT_GRID = "lb_light"
 AXES = ("X", "Y", "Z")

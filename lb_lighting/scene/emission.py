@@ -10,10 +10,10 @@ from functools import partial
 import numpy as np
 
 from ..errors import SceneError
-from .black_body import black_body_color
-from .resample import averaged
-from .shaders import Shader
-from .values import Scaled
+from .grids.resample import averaged
+from .nodes.black_body import black_body_color
+from .nodes.shaders import Shader
+from .nodes.values import Scaled
 
 SHINING_NODES = {"EMISSION", "PRINCIPLED_VOLUME", "VOLUME_COEFFICIENTS"}
 DARK_NODES = {"VOLUME_SCATTER", "VOLUME_ABSORPTION"}

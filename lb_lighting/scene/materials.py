@@ -8,8 +8,8 @@ import numpy as np
 from ..errors import SceneError
 from ..ours import TAG
 from ..transport.medium import Optics
-from .shaders import Shader, may_be_positive
-from .values import Scaled
+from .nodes.shaders import Shader, may_be_positive
+from .nodes.values import Scaled
 
 VOLUME_NODES = {
     "PRINCIPLED_VOLUME",

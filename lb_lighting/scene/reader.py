@@ -7,10 +7,10 @@ import numpy as np
 
 from ..errors import SceneError
 from ..transport.medium import PRESETS, Optics
-from .attributes import object_attributes
 from .emission import volume_glows
 from .materials import leaf_optics, volume_optics, volume_shines
 from .mixture import is_exact, mixture, scaled
+from .nodes.attributes import object_attributes
 
 FROM_MATERIAL = "MATERIAL"
 CUSTOM = "CUSTOM"

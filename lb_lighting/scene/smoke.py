@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..errors import EmptyError, SceneError
-from .resample import Cells, box_bounds
+from .grids.resample import Cells, box_bounds
 from .volumes import world_matrix
 
 SCALAR_GRIDS = ("density", "flame", "temperature")

@@ -12,11 +12,11 @@ import numpy as np
 from ..errors import SceneError
 from . import smoke, volumes
 from .emission import shining
+from .grids.resample import averaged
+from .grids.sparse import Matter
 from .materials import first_volume, has_volume, tinted
 from .mixture import Share
 from .reader import FROM_MATERIAL
-from .resample import averaged
-from .sparse import Matter
 
 WORTHWHILE = 0.9  # of a volume's longest edge, over which nothing thin is left out
 

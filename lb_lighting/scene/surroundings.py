@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..ours import is_ours
-from ..transport.lights import AreaLight, PointLight, SpotLight, Sun
-from .light_nodes import or_else
+from ..transport.lights.lamps import AreaLight, PointLight, SpotLight, Sun
+from .lights.light_nodes import or_else
+from .lights.receivers import placed_boxes
 from .materials import has_volume, volume_shines
-from .receivers import placed_boxes
+from .nodes.shaders import Shader, may_be_positive
 from .remarks import listed
 from .rendered import rendered_objects
-from .shaders import Shader, may_be_positive
 
 SURFACES = (
     "Not selected, so they neither shade nor light it: {}; select them too, with the role Occluder."

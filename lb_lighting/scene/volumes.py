@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import openvdb
 
+from ..cache_key import content_of_file, content_of_grid
 from ..errors import EmptyError, SceneError
-from ..essence import content_of_file, content_of_grid
-from .sparse import SparseCells
+from .grids.sparse import SparseCells
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@
 
 from dataclasses import dataclass, replace
 
-from ..transport import gather
 from ..transport.device import troubles
 from ..transport.medium import deepest
-from ..transport.planner import Plan
+from ..transport.ordinates import source_iteration
+from ..transport.planning.planner import Plan
 from .light import Light
 
 TRIED = 8  # steps of the paper's model, which takes a number of them that is known
@@ -87,7 +87,7 @@ class Estimate:
         seconds = plan.seconds
         if times := self.light.gathers(problem, plan.settings):
             device = options.device or None
-            seconds += gather.seconds(problem.medium, problem.lights, device, times)
+            seconds += source_iteration.seconds(problem.medium, problem.lights, device, times)
         return plan.bytes, plan.device, seconds, plan
 
     def _paper(self, problem):

@@ -9,19 +9,19 @@ from time import perf_counter
 import numpy as np
 
 from .. import exchange
+from ..cache_key import essence
 from ..errors import LightingError, SceneError
-from ..essence import essence
 from ..options import Options
 from ..output.ambient import ambient_grids
 from ..output.look import Look
 from ..output.vdb import EMISSION_GRID, leftovers, new_token, volume_light, write_vdb
 from ..scene.mixture import mixture, occluders, with_shadows
-from ..transport import gather
 from ..transport.device import troubles
 from ..transport.field import Report
-from ..transport.lights import bands_of
+from ..transport.lights.lamps import bands_of
 from ..transport.medium import Domain, Medium, Optics, paper_units
-from ..transport.planner import BUDGETS, Plan, plan
+from ..transport.ordinates import source_iteration
+from ..transport.planning.planner import BUDGETS, Plan, plan
 from ..transport.solver import Settings, require_memory, solve
 
 COARSEST = 2  # voxels along its longest edge that a source should have
@@ -124,7 +124,7 @@ class Light:
     options   `Options`
     sources   see scene/sources.py
     reader    what they were read by, which knows the presets
-    lights    [light], see transport/lights.py
+    lights    [light], see transport/lights/lamps.py
     box       (lower, upper), each (3,) m, to light, or None for the bounds of the sources
     surfaces  {number of the source: `Vertices`} that are to show their light
     readers   [number of the source] of those whose light a modifier reads from the file
@@ -336,22 +336,22 @@ class Light:
         several = settings.scattering == "multiple"
         if not (wished and volumes and several):
             return 0
-        if not gather.is_worthwhile(problem.medium, problem.lights):
+        if not source_iteration.is_worthwhile(problem.medium, problem.lights):
             return 0
         if self.options.quality == "preview":
             return 1
         budget = BUDGETS.get(self.options.quality, inf)
-        return gather.TIMES if budget == inf else self._gathers_within(budget, problem)
+        return source_iteration.TIMES if budget == inf else self._gathers_within(budget, problem)
 
     def _gathers_within(self, budget, problem):
         """How many times the light of a `Problem` is gathered within some seconds: once or more."""
         device = self.options.device or None
-        once = gather.seconds(problem.medium, problem.lights, device, 1)
-        times = min(max(int(budget / once), 1), gather.TIMES)
-        if times < gather.TIMES:
+        once = source_iteration.seconds(problem.medium, problem.lights, device, 1)
+        times = min(max(int(budget / once), 1), source_iteration.TIMES)
+        if times < source_iteration.TIMES:
             self.reader.notes.append(
-                f"Directions are gathered {times} of {gather.TIMES} times, to end within about "
-                f"{budget:.0f} s; choose Final to gather them all."
+                f"Directions are gathered {times} of {source_iteration.TIMES} times, to end within "
+                f"about {budget:.0f} s; choose Final to gather them all."
             )
         return times
 
@@ -394,7 +394,7 @@ class Light:
 
         start, device = perf_counter(), self.options.device or None
         medium, lights = problem.medium, problem.lights
-        field.scattered = gather.gather(medium, lights, field, device, times, progress)
+        field.scattered = source_iteration.gather(medium, lights, field, device, times, progress)
         field.report.seconds["gather"] = perf_counter() - start
 
     def _write(self, problem, lit, light, others, read, made_of):

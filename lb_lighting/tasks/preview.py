@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import exchange
-from ..transport.perlin import PerlinMedium
-from ..transport.preview import View, pictures
-from ..transport.survey import advice, histogram_picture, statistics
+from ..transport.photons.perlin import PerlinMedium
+from ..transport.preview.pictures import View, pictures
+from ..transport.preview.survey import advice, histogram_picture, statistics
 from .light import Light
 
 PICTURE, SURVEY = "picture", "survey"  # files in the task's folder
@@ -24,7 +24,7 @@ CUTOFF = 0.35  # of noise: below it is void, which makes it clouds
 class Survey:
     """What free paths tell.
 
-    statistics  see transport/survey.py
+    statistics  see transport/preview/survey.py
     advice      a sentence
     histogram   (height, width, 4), linear
     """

@@ -11,15 +11,15 @@ from ..errors import (
     SolverError,
 )
 from .field import Field, Handed, PhotonReport, Report
-from .free_path import SAMPLERS, FreePathSampler, sample_free_paths
-from .lights import AreaLight, PointLight, Sky, SpotLight, Sun
+from .lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun
 from .medium import PRESETS, Domain, Medium, Optics, paper_units
-from .perlin import PerlinMedium
-from .photons import trace
-from .planner import Plan, plan
-from .preview import Picture, View, pictures
+from .photons.free_path import SAMPLERS, FreePathSampler, sample_free_paths
+from .photons.perlin import PerlinMedium
+from .photons.trace import trace
+from .planning.planner import Plan, plan
+from .preview.pictures import Picture, View, pictures
+from .preview.survey import Statistics, advice, histogram_picture, statistics
 from .solver import Settings, solve
-from .survey import Statistics, advice, histogram_picture, statistics
 
 __all__ = [
     "PRESETS",

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 from ..errors import SettingsError, require_known, require_whole
 from . import device as devices
-from . import paper, physical
+from . import hybrid
 from .field import Clock
+from .paper import model as paper
 
-MODELS = {"physical": physical, "paper": paper}
+MODELS = {"physical": hybrid, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
 PRECISIONS = ("fp32",)
 SCATTERINGS = ("multiple", "single")

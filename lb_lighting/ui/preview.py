@@ -14,7 +14,7 @@ from .. import bake, exchange
 from ..errors import LightingError
 from ..job import Job
 from ..tasks.preview import PICTURE, SURVEY, Preview
-from ..transport.preview import View
+from ..transport.preview.pictures import View
 from . import running
 from .panels import SubPanel, draw_text
 

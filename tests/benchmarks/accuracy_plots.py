@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots of docs/theory/physics.md, from build/bench/accuracy-cases.json and accuracy-refinement.json.
+"""The plots of docs/theory/physics.md, from build/bench/accuracy-cases.json and accuracy-
+refinement.json.
 
 python -m tests.benchmarks.accuracy_plots
 """

@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.bounds import constant_bound, linear_bound
+from lb_lighting.transport.photons.majorants import constant_bound, linear_bound
 from tests.benchmarks.table import publish
 from tests.setup import heads
 

@@ -19,9 +19,10 @@ from time import perf_counter
 
 import numpy as np
 
-from lb_lighting.transport import Medium, Sky, bounds, device, paths_numpy
-from lb_lighting.transport.free_path import MOST_STEPS, engine, path_grid
-from lb_lighting.transport.perlin import STRONG, WEAK, PerlinMedium
+from lb_lighting.transport import Medium, Sky, device
+from lb_lighting.transport.photons import majorants, paths_numpy
+from lb_lighting.transport.photons.free_path import MOST_STEPS, engine, path_grid
+from lb_lighting.transport.photons.perlin import STRONG, WEAK, PerlinMedium
 from tests.benchmarks.table import publish
 from tests.setup import heads
 
@@ -174,14 +175,14 @@ def head_rows(found):
     rows = of_head(march, EDGE, depths, mean) + of_head(woodcock, 1, depths, mean)
     alone = {(row["setting"], row["sampler"]): row["million rays/s"] for row in rows}
     for sampler in SUPERVOXELS:
-        for size in bounds.sizes(medium.shape):
+        for size in majorants.sizes(medium.shape):
             if size <= 2 and not fits(sampler, size, found):
                 continue
             point = Point(head_grid(medium, sampler, size, found), found)
             rows += of_head(point, EDGE // size, depths, mean)
     chosen = {
         (setting, sampler): EDGE
-        // bounds.choose_size(
+        // majorants.choose_size(
             density, 1 / per_depth_of(depth, mean), sampler.removeprefix("supervoxel_")
         )
         for setting, depth in depths.items()

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import Settings, device, solve
-from lb_lighting.transport.gather import FORWARDS, gather, seconds
+from lb_lighting.transport.ordinates.source_iteration import FORWARDS, gather, seconds
 from tests.benchmarks.media import trade_cases
 from tests.benchmarks.references import References
 from tests.benchmarks.table import publish

@@ -10,10 +10,10 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import PRESETS, Medium, Sun, device
-from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.paper import boundary_inflow
-from lb_lighting.transport.paper_numpy import PaperReference
-from lb_lighting.transport.paper_opencl import PaperLattice
+from lb_lighting.transport.lattice.d3q19 import collision_matrix
+from lb_lighting.transport.paper.model import boundary_inflow
+from lb_lighting.transport.paper.paper_numpy import PaperReference
+from lb_lighting.transport.paper.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 

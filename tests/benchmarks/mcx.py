@@ -14,8 +14,8 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import Medium, Sun, device
-from lb_lighting.transport.free_path import SAMPLERS
-from lb_lighting.transport.photons import trace
+from lb_lighting.transport.photons.free_path import SAMPLERS
+from lb_lighting.transport.photons.trace import trace
 from tests.benchmarks.table import publish
 from tests.setup import peers
 

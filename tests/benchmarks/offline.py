@@ -15,13 +15,14 @@ import sys
 from itertools import chain, combinations, product
 from multiprocessing.pool import ThreadPool
 
-from lb_lighting.transport import bounds, physical_opencl
 from lb_lighting.transport.device import _BUILD_OPTIONS, _SOURCES
+from lb_lighting.transport.lattice import lattice_opencl
+from lb_lighting.transport.photons import majorants
 from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 from tests.setup import compilers
 
-PHYSICAL = (physical_opencl._SOURCES, physical_opencl._CONSTANTS)
+PHYSICAL = (lattice_opencl._SOURCES, lattice_opencl._CONSTANTS)
 BOUNDS_OF_PATHS = ((), ("RAY_MARCH",), ("WOODCOCK",), ("POLYNOMIAL",))
 FLOPS = {"add": 1, "sub": 1, "mul": 1, "fma": 2, "mad": 2, "div": 1, "rcp": 1, "neg": 0}
 
@@ -35,23 +36,23 @@ def programs():
     """(files, defines) of what the extension builds; of photons' tallies the least and the most."""
     yield PHYSICAL
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):
-        yield ("fade.cl", "sweep.cl"), some
-    yield ("fade.cl", "sweep.cl"), ("EMITTING", "APART")
+        yield ("uncollided/attenuation.cl", "uncollided/sweep.cl"), some
+    yield ("uncollided/attenuation.cl", "uncollided/sweep.cl"), ("EMITTING", "APART")
     for some in subsets("OCCLUDED"):
-        yield ("fade.cl", "march.cl"), some
+        yield ("uncollided/attenuation.cl", "uncollided/march.cl"), some
     shape = ("WIDTH=128", "HEIGHT=128", "DEPTH=128")
     for kernel, first, some in product(KERNELS, (0, 1), subsets("OCCLUSION")):
-        yield (f"lattice_{kernel}.cl",), (*shape, f"FIRST={first}", *some)
-    yield ("bounds.cl",), bounds._defines()
+        yield (f"paper/{kernel}.cl",), (*shape, f"FIRST={first}", *some)
+    yield ("photons/majorants.cl",), majorants._defines()
     for sampler, linear, noise in product(BOUNDS_OF_PATHS, subsets("LINEAR"), (False, True)):
-        files = ("random.cl", *(["perlin.cl"] if noise else []), "paths.cl")
+        files = ("photons/random.cl", *(["photons/perlin.cl"] if noise else []), "photons/paths.cl")
         defines = (*sampler, *linear, *(["PERLIN_MEDIUM"] if noise else []))
-        yield (*files, "free_path.cl"), defines
+        yield (*files, "photons/free_path.cl"), defines
         for kept in ((), ("KEEP_DIRECT", "KEEP_FLUX", "OCCLUSION")):
-            yield (*files, "scatter.cl", "photons.cl"), (*defines, *kept)
+            yield (*files, "photons/scatter.cl", "photons/photons.cl"), (*defines, *kept)
         if not linear:
             for kept in ((), ("OCCLUSION", "EMISSION")):
-                yield (*files, "scatter.cl", "preview.cl"), (*defines, *kept)
+                yield (*files, "photons/scatter.cl", "preview/preview.cl"), (*defines, *kept)
 
 
 def assembly(program, target):

@@ -9,7 +9,7 @@ from lb_lighting.transport import Medium, Sky, solve
 from tests.benchmarks.columns import COLUMNS, DETERMINISTIC, all_light, imbalance, relative_noise
 from tests.benchmarks.media import CLOUD_DEPTHS, EDGE, cloud, of_depth
 from tests.tracing import Beam
-from tests.transport.test_photon_oracles import SLABS
+from tests.transport.photons.test_photon_oracles import SLABS
 
 THICK = 16  # voxels of a slab
 WIDE = 161  # voxels: what leaves through the sides is measured

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots of docs/theory/free-paths.md: speeds from build/bench/freepath-head.json, bounds made anew."""
+"""The plots of docs/theory/free-paths.md: speeds from build/bench/freepath-head.json, bounds made
+anew."""
 
 import json
 from pathlib import Path
@@ -7,8 +8,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from lb_lighting.transport.bounds import constant_bound, linear_bound
-from lb_lighting.transport.perlin import PerlinMedium
+from lb_lighting.transport.photons.majorants import constant_bound, linear_bound
+from lb_lighting.transport.photons.perlin import PerlinMedium
 from tests.benchmarks.freepath import CONTRASTS, SUPERVOXELS
 from tests.benchmarks.table import BUILD
 from tests.setup import heads

@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image
 
 from lb_lighting.transport import Medium, PerlinMedium, Sky, Sun, device
-from lb_lighting.transport.preview import View, pictures
-from lb_lighting.transport.survey import advice, histogram_picture, statistics
+from lb_lighting.transport.preview.pictures import View, pictures
+from lb_lighting.transport.preview.survey import advice, histogram_picture, statistics
 from tests.benchmarks import table
 from tests.benchmarks.plots import DOCS
 

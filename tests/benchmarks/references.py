@@ -19,8 +19,10 @@ from time import perf_counter
 
 import numpy as np
 
-from lb_lighting.transport import device, direct, seen, trace
-from lb_lighting.transport.lights import Emission, Sky
+from lb_lighting.transport import device, trace
+from lb_lighting.transport.lights.lamps import Emission, Sky
+from lb_lighting.transport.planning import visibility
+from lb_lighting.transport.uncollided import casting
 from tests.benchmarks.media import (
     main_cases,
     random_cases,
@@ -80,7 +82,7 @@ class References:
 
     def add(self, case, light, about):
         if case.group in ("random", "sparse"):  # of these only what is seen is looked at
-            light = light * (seen.weights(case.medium)[0] > 0)
+            light = light * (visibility.weights(case.medium)[0] > 0)
         self.light[case.name] = rounded(light, DIGITS[self.name])
         self.about[case.name] = about | {"medium": facts(case.medium)}
 
@@ -102,7 +104,7 @@ def measure(case):
     """All light (nx, ny, nz) of a case, by as many seeds as its target needs, and how it went."""
     start, seeds = perf_counter(), 0
     exact = None if case.group in ("main", "refined") else unscattered(case)
-    weight = seen.weights(case.medium)[0]
+    weight = visibility.weights(case.medium)[0]
     total, squares, error = 0.0, 0.0, np.inf
     while seeds < FEWEST_SEEDS or (error > TARGETS[case.group] and seeds < MOST_SEEDS):
         field = trace(
@@ -140,7 +142,7 @@ def unscattered(case):
     glow = [] if medium.emission is None else [Emission(medium)]
     for light in [*case.lights, *glow]:
         rays = RAYS_OF_SKY if isinstance(light, (Sky, Emission)) else RAYS
-        total = total + direct.cast(medium, light, 0, medium.sigma_t[0], found, rays).direct
+        total = total + casting.cast(medium, light, 0, medium.sigma_t[0], found, rays).direct
     return total
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The curves and pictures of docs/measurements/renders.md, from what `make bench-render` left in build/bench.
+"""The curves and pictures of docs/measurements/renders.md, from what `make bench-render` left in
+build/bench.
 
 python -m tests.benchmarks.render_plots
 """

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // What a step of the physical lattice reads and writes, without its collision, and a plain copy.
-// Built behind the extension's cells.cl.
+// Built behind the extension's lattice/layout.cl.
 
 #define LEAVE_ALL_HERE(m, back, cx, cy, cz)                                                \
     LEAVE_HERE(m, back, STEP(cx, cy, cz), 0.999f * f[m], 0.999f * f[back])

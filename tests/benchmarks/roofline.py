@@ -6,8 +6,8 @@
 Counts what a step of the lattice reads, writes and computes for a cell, by its assembly for NVIDIA
 (offline.py), and prints for some cards the voxels a second and the seconds of a solve of 128^3
 voxels that their published bandwidth and arithmetic allow: computed, not measured, for nobody here
-has a card. Writes build/bench/roofline.json, and docs/measurements/performance/roofline.webp, where the measured
-points are those of build/bench/speed-steps.json (`make bench-speed`).
+has a card. Writes build/bench/roofline.json, and docs/measurements/performance/roofline.webp,
+where the measured points are those of build/bench/speed-steps.json (`make bench-speed`).
 """
 
 import json
@@ -17,7 +17,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from lb_lighting.transport.cells import Cells
+from lb_lighting.transport.lattice.layout import Cells
 from tests.benchmarks.offline import of_a_cell
 from tests.benchmarks.table import BUILD, publish
 

@@ -13,10 +13,10 @@ import sys
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.levels import Level
-from lb_lighting.transport.physical import lattice_maker
-from lb_lighting.transport.physical_numpy import Source
-from lb_lighting.transport.settle import settle
+from lb_lighting.transport.hybrid import lattice_maker
+from lb_lighting.transport.lattice.convergence import settle
+from lb_lighting.transport.lattice.lattice_numpy import Source
+from lb_lighting.transport.lattice.multigrid import Level
 from tests.benchmarks.shapes import SHAPES
 from tests.benchmarks.table import publish
 

@@ -26,21 +26,21 @@ import numpy as np
 import pyopencl as cl
 
 from lb_lighting.transport import Settings, Sky, Sun, device, solve
-from lb_lighting.transport.cells import GROUP, Cells
-from lb_lighting.transport.crop import Box
-from lb_lighting.transport.direct import cast
-from lb_lighting.transport.lattice import collision_matrix
-from lb_lighting.transport.levels import Level
-from lb_lighting.transport.paper import boundary_inflow
-from lb_lighting.transport.paper_opencl import PaperLattice
-from lb_lighting.transport.physical import lattice_maker
-from lb_lighting.transport.physical_numpy import Source
-from lb_lighting.transport.physical_opencl import OpenCLLattice, _state_size, _stride
-from lb_lighting.transport.settle import _Look
+from lb_lighting.transport.box import Box
+from lb_lighting.transport.hybrid import lattice_maker
+from lb_lighting.transport.lattice.convergence import _Look
+from lb_lighting.transport.lattice.d3q19 import collision_matrix
+from lb_lighting.transport.lattice.lattice_numpy import Source
+from lb_lighting.transport.lattice.lattice_opencl import OpenCLLattice, _state_size, _stride
+from lb_lighting.transport.lattice.layout import GROUP, Cells
+from lb_lighting.transport.lattice.multigrid import Level
+from lb_lighting.transport.lights.sampling import rank_1
+from lb_lighting.transport.paper.model import boundary_inflow
+from lb_lighting.transport.paper.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS
-from lb_lighting.transport.spread import rank_1
-from lb_lighting.transport.sweep import Beam, Turn, Voxels
-from lb_lighting.transport.sweep_opencl import OpenclSweep
+from lb_lighting.transport.uncollided.casting import cast
+from lb_lighting.transport.uncollided.sweep import Beam, Turn, Voxels
+from lb_lighting.transport.uncollided.sweep_opencl import OpenclSweep
 from tests.benchmarks.kernels import cloud
 from tests.benchmarks.media import cloud as puffs
 from tests.benchmarks.media import of_depth
@@ -145,7 +145,7 @@ def _roof(found, buffers, size):
     """(queue, {name: kernel} of roof.cl, buffers of so many bytes, filled)."""
     context, queue = device.context(found), device.queue(found)
     roof_cl = str(Path(__file__).with_name("roof.cl"))
-    program = device.program(found, ("cells.cl", roof_cl), (f"GROUP={GROUP}",))
+    program = device.program(found, ("lattice/layout.cl", roof_cl), (f"GROUP={GROUP}",))
     made = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(buffers)]
     for buffer in made:
         cl.enqueue_fill_buffer(queue, buffer, np.float32(0), 0, size)

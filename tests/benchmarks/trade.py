@@ -11,7 +11,7 @@ tests.benchmarks.references`). Columns:
 
 work          processor seconds, over those of the first solve of the run ("reference"): the default
               settings in the first medium
-error         relative L2 of all light; of `planner`, as it is seen (transport/seen.py)
+error         relative L2 of all light; of `planner`, as it is seen (planning/visibility.py)
 error +-      standard error of that, from the reference's noise
 worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
               reference's light; noise is in it
@@ -26,7 +26,8 @@ from time import perf_counter, process_time
 import numpy as np
 
 from lb_lighting.errors import LightingError
-from lb_lighting.transport import Medium, Settings, device, paper_units, planner, seen, solve
+from lb_lighting.transport import Medium, Settings, device, paper_units, solve
+from lb_lighting.transport.planning import planner, visibility
 from tests.benchmarks.columns import all_light, cropped, imbalance, padded
 from tests.benchmarks.media import SUN, cloud, random_cases, sparse_cases, trade_cases
 from tests.benchmarks.references import References
@@ -140,7 +141,7 @@ def planned(cases):
             start = perf_counter()
             field = solve(case.medium, case.lights, plan.settings, found.label)
             seconds = perf_counter() - start
-            weight = seen.weights(case.medium, case.surfaces)[0]
+            weight = visibility.weights(case.medium, case.surfaces)[0]
             numbers = measured(field, references[case], weight=weight)
             s = plan.settings
             yield row | {

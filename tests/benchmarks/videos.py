@@ -14,8 +14,8 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import Sun, device
-from lb_lighting.transport.perlin import PerlinMedium
-from lb_lighting.transport.photons import trace
+from lb_lighting.transport.photons.perlin import PerlinMedium
+from lb_lighting.transport.photons.trace import trace
 from tests.benchmarks.freepath import CONTRASTS, markdown
 from tests.benchmarks.table import publish
 

@@ -5,16 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
-from scenes import (
-    baked,
-    camera,
-    center_of_mass,
-    render,
-    smoke,
-    sun,
-    volume_material,
-    world,
-)
+from scenes import baked, camera, center_of_mass, render, smoke, sun, volume_material, world
 
 MIDDLE, WIDTH = (1, 2, 3), 4  # m, of the picture
 VOXELS = 32

@@ -3,14 +3,7 @@
 
 import bpy
 import numpy as np
-from scenes import (
-    baked,
-    center_of_mass,
-    sun,
-    volume_material,
-    volume_object,
-    write_ball,
-)
+from scenes import baked, center_of_mass, sun, volume_material, volume_object, write_ball
 
 CENTERS = {1: (-0.3, 0, 0), 2: (0, 0.2, 0), 3: (0.3, 0, 0.1)}  # m, by frame
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the small pictures of docs/user/gallery.md from those that `make demo` left in build/demo."""
+"""Makes the small pictures of docs/user/gallery.md from those that `make demo` left in build."""
 
 from pathlib import Path
 

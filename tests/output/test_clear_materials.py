@@ -4,10 +4,10 @@
 import bpy
 import pytest
 
-from lb_lighting.output.shading import leave_light, use_light
+from lb_lighting.output.shading_volumes import leave_light, use_light
 from tests import scenery
 from tests.output.rendering import surface
-from tests.output.test_shading import lit_object, user_group
+from tests.output.test_shading_volumes import lit_object, user_group
 
 
 def water(weight=1.0):

@@ -8,7 +8,7 @@ import pytest
 from lb_lighting.errors import SceneError
 from tests import scenery
 from tests.output.rendering import dark_scene, render
-from tests.scene.nodes import add_node, attribute, computed, connect, make_material
+from tests.scene.trees import add_node, attribute, computed, connect, make_material
 
 
 def emission(tree, **how):

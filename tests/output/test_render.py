@@ -7,8 +7,8 @@ import pytest
 from mathutils import Euler, Vector
 
 from lb_lighting.output.attribute import read_vertices, remove_ambient, write_ambient
-from lb_lighting.output.shading import prepare_scene, shade_volume
 from lb_lighting.output.shading_surfaces import wire_ambient
+from lb_lighting.output.shading_volumes import prepare_scene, shade_volume
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     direct_grid,
@@ -18,10 +18,10 @@ from lb_lighting.output.vdb import (
     write_vdb,
 )
 from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
-from lb_lighting.transport.directions import polynomials
 from lb_lighting.transport.field import Field, Report
-from lb_lighting.transport.lights import PointLight, SpotLight, Sun
+from lb_lighting.transport.lights.lamps import PointLight, SpotLight, Sun
 from lb_lighting.transport.medium import Domain
+from lb_lighting.transport.ordinates.quadrature import polynomials
 from tests.output.rendering import centroid, dark_scene, middle, plane, render, surface
 from tests.scenery import source
 

@@ -30,10 +30,10 @@ from lb_lighting.output.volume import (
     show_volume,
     sources_of,
 )
-from lb_lighting.transport.directions import harmonics, polynomials
 from lb_lighting.transport.field import Field, Report, Scattered
-from lb_lighting.transport.lights import PointLight, Sky, Sun
+from lb_lighting.transport.lights.lamps import PointLight, Sky, Sun
 from lb_lighting.transport.medium import Domain, Medium
+from lb_lighting.transport.ordinates.quadrature import harmonics, polynomials
 from lb_lighting.transport.solver import solve
 from tests.scenery import read_only, source
 

@@ -16,7 +16,7 @@ from lb_lighting.scene.materials import (
     volume_shines,
 )
 from lb_lighting.transport.medium import Optics
-from tests.scene.nodes import add_node, combine, connect, make_material, surface, volume
+from tests.scene.trees import add_node, combine, connect, make_material, surface, volume
 
 COLOR = (0.9, 0.6, 0.3)
 TINT = (0.25, 0.04, 0.5)

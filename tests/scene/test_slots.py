@@ -11,7 +11,7 @@ from lb_lighting.scene.opening import open_sources
 from lb_lighting.scene.reader import FROM_MATERIAL, Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
-from tests.scene.nodes import add_node, attribute, combine, connect, make_material, surface
+from tests.scene.trees import add_node, attribute, combine, connect, make_material, surface
 
 DOMAIN = Domain.around((-1, -1, -1), (1, 1, 1), 20)
 

@@ -13,12 +13,12 @@ from lb_lighting.transport import (
     Sky,
     SpotLight,
     Sun,
-    gather,
     plan,
     solve,
     trace,
 )
 from lb_lighting.transport.device import devices, queue, upload
+from lb_lighting.transport.ordinates import source_iteration
 from tests.tracing import OPENCL, name
 
 on_every_device = pytest.mark.parametrize("device", devices(), ids=name)
@@ -120,7 +120,7 @@ def test_few_voxels_and_empty_ones(device, shape, density):
 @on_every_device
 def test_gathering_without_beams(device):
     lit = solve(medium(), [Sky(1.0)], Settings(), device)
-    found = gather.gather(medium(), [Sky(1.0)], lit, device, 1)
+    found = source_iteration.gather(medium(), [Sky(1.0)], lit, device, 1)
     assert found.lobes.shape[0] == 0
     assert np.isfinite(found.moments).all()
     assert found.moments[0, 0].max() > 0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.transport import Medium
-from lb_lighting.transport.photons import trace
+from lb_lighting.transport.photons.trace import trace
 from tests.setup import peers
 
 EDGE, SIZE = 16, 2.0  # voxels, m

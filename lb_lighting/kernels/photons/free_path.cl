@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The first collisions of rays. Built behind photons/paths.cl; transport/photons/paths_numpy.py is the twin.
+
+// The distance to the first real collision of every ray, infinite where it leaves the domain, NaN
+// where it took over `most_steps` steps. A work-item counts the particles that its rays met, real
+// or virtual, and the rays whose bound was violated. Work-items take rays in turn, as soon as they are done
+// with one, so that those side by side in a vector are all busy.
+__kernel void free_paths(GRID_PARAMETERS, __global const float *rays,
+                         __global const uint *indices, const int count, const uint seed,
+                         const int most_steps,
+                         __global float *distances, __global int *particles,
+                         __global int *violations)
+{
+    const Grid g = GRID;
+    const int stride = (int)get_global_size(0);
+    int ray = (int)get_global_id(0);
+    int fresh = 1, steps = 0, met = 0, violated = 0;
+    Path p;
+    Random random;
+    while (ray < count) {
+        if (fresh) {
+            enter(&p, g, rays, count, ray);
+            random = random_stream(seed, indices[ray]);
+            start_flight(&p, g, &random);
+            fresh = 0;
+            steps = 0;
+        }
+        const int event = advance(&p, g, &random);
+        steps++;
+        met += event == VIRTUAL || event == COLLIDED;
+        if (event == COLLIDED || event == LEFT || steps >= most_steps) {
+            distances[ray] = event == COLLIDED ? p.t : event == LEFT ? INFINITY : NAN;
+            violated += p.violated;
+            ray += stride;
+            fresh = 1;
+        }
+    }
+    particles[get_global_id(0)] = met;
+    violations[get_global_id(0)] = violated;
+}

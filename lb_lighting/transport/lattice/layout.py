@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The physical lattice's directions and their weights, and where its cells lie in memory.
+
+All cells lie one behind the other, z fastest, so that from each to its neighbour along a direction
+it is the same number of cells. Around the voxels there is a layer of cells for the vacuum outside:
+what leaves the domain comes there, and nothing else does.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from .d3q19 import DIRECTIONS
+
+MOVING = DIRECTIONS[1:]
+"""(18, 3) int, c_m in voxels a step: six along the axes, then twelve diagonals."""
+
+LENGTHS = np.linalg.norm(MOVING, axis=1)
+"""(18,) voxels, l_m."""
+
+
+def _weights():
+    weights = np.where(LENGTHS == 1, 0.2 / 6, 0.8 / (12 * np.sqrt(2)))
+    return weights / weights.sum()
+
+
+WEIGHTS = _weights()
+"""(18,), w_m, the shares of isotropic light. In free flight it fills a voxel over l_m; w_m l_m has
+the moments of the sphere up to the fourth in direction."""
+
+MEAN_LENGTH = float(WEIGHTS @ LENGTHS)
+SECOND_MOMENT = float(WEIGHTS @ MOVING[:, 0] ** 2)
+
+OPPOSITE = np.array([np.flatnonzero((-c == MOVING).all(axis=1))[0] for c in MOVING])
+"""(18,) int, the direction straight back."""
+
+THROUGH = [np.flatnonzero(MOVING[:, axis] == side) for axis, side in product(range(3), (-1, 1))]
+"""For each of the faces -x, +x, -y, +y, -z, +z, the five directions that lead out of it."""
+
+
+def parts(c):
+    """(1 or 2, 3) int, the steps along axes of which c is the sum."""
+    return np.diag(c)[c != 0]
+
+
+GROUP = 256
+"""Cells that a work-group takes; their number is a multiple of it."""
+
+
+class Cells:
+    """The cells of a domain of `shape` voxels."""
+
+    def __init__(self, shape):
+        self.shape = nx, ny, nz = tuple(shape)
+        self.row, self.plane = nz + 2, (ny + 2) * (nz + 2)
+        self.first = self.plane + self.row + 1  # the first voxel's
+        self.count = -(-((nx + 2) * self.plane) // GROUP) * GROUP
+        self.steps = MOVING @ (self.plane, self.row, 1)  # to each neighbour
+
+    def is_inside(self):
+        """(count,) bool, which cells are voxels of the domain."""
+        return self.flat(np.ones(self.shape, bool), False)
+
+    def flat(self, values, outside=0):
+        """(..., count) of values (..., nx, ny, nz), and of what is outside."""
+        cells = np.full((*values.shape[:-3], self.count), outside, values.dtype)
+        self.inside(cells)[...] = values
+        return cells
+
+    def inside(self, cells):
+        """(..., nx, ny, nz), the part of (..., count) in the domain: a view."""
+        wide = [n + 2 for n in self.shape]
+        used = cells[..., : wide[0] * self.plane].reshape(*cells.shape[:-1], *wide)
+        return used[..., 1:-1, 1:-1, 1:-1]

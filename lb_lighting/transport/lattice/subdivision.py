@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Voxels that are too thick for the lattice, divided, and light put together in them again.
+
+docs/theory/physics.md, "Voxels that are too thick", says what was measured.
+"""
+
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from ...errors import MediumError
+from ..medium import repeated
+
+# Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
+# paths of scattering, and in diffusion lengths of absorption (docs/theory/physics.md says why).
+_THICKEST, _DARKEST = 3.0, 0.9
+_MOST_PIECES = 4
+
+
+def wished_pieces(medium):
+    """(pieces that better the light, pieces without which it would be wrong), along each edge.
+
+    Depths count by the albedo, the share of light that the lattice carries.
+    """
+    density = medium.density.astype(float)
+    mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
+    depth = medium.sigma_s * medium.voxel_size * mean
+    transport = 1 - medium.albedo * medium.g
+    lengths = depth * np.sqrt(3 * (1 - medium.albedo) * transport)
+    thick = min(2, ceil(float((depth * transport).max()) / _THICKEST))
+    dark = max(1, ceil(float(lengths.max()) / _DARKEST))
+    if dark > _MOST_PIECES:
+        raise MediumError(
+            f"The medium absorbs so strongly that light fades {lengths.max():.1f} times by a "
+            f"factor of e within a voxel; raise the resolution {ceil(dark / _MOST_PIECES)} times, "
+            "or lower the density."
+        )
+    return max(thick, dark), dark
+
+
+def divided(light, pieces):
+    """A light for a medium of which each voxel is divided."""
+    shadow = getattr(light, "shadow_density", None)
+    return light if shadow is None else replace(light, shadow_density=repeated(shadow, pieces))
+
+
+def merged(field, pieces):
+    """The field of a divided medium, in the voxels that it had before."""
+
+    def mean(values):
+        if values is None:
+            return None
+        *outer, nx, ny, nz = values.shape
+        split = (nx // pieces, pieces, ny // pieces, pieces, nz // pieces, pieces)
+        return values.reshape(*outer, *split).mean(axis=(-5, -3, -1))
+
+    domain = field.domain
+    coarse = replace(
+        domain,
+        voxel_size=domain.voxel_size * pieces,
+        shape=tuple(n // pieces for n in domain.shape),
+    )
+    variance = None if field.variance is None else mean(field.variance) / pieces**3
+    names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
+    grids = {name: mean(getattr(field, name)) for name in names}
+    return replace(field, domain=coarse, variance=variance, handed=None, **grids)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's model: all light on the lattice of paper 1, section 3, for its number of steps."""
+
+from math import prod
+
+import numpy as np
+
+from ...errors import Cancelled, LightError, MediumError
+from ..field import Field, Report
+from ..lattice.d3q19 import UNIT, WEIGHTS, collision_matrix
+from ..lights.lamps import Sky, Sun, by_band
+from ..medium import SMALLEST_EDGE
+from .paper_numpy import PaperReference
+
+_REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
+
+
+def solve(medium, lights, settings, device, clock, needed, progress, cancel, _residual):
+    """`solver.solve` by the paper's model; needed is the memory that it takes, bytes."""
+    _refuse_unfit(medium)
+    inflow = boundary_inflow(lights, medium.bands)
+    with clock("prepare"):
+        lattice = _lattice(medium, settings, device)
+    runs = _distinct_runs(medium, inflow)
+    steps = settings.steps or 2 * max(medium.shape)
+    light = np.empty((medium.bands, *medium.shape), np.float32)
+    flux = np.empty((medium.bands, 3, *medium.shape), np.float32)
+    residual = 0.0
+    for number, (band, multiples) in enumerate(runs):
+        with clock("solve"):
+            omega = collision_matrix(medium.sigma_s[band], medium.sigma_a[band], medium.g[band])
+            lattice.start(inflow[band], omega)
+            _advance(lattice, steps, number, len(runs), progress, cancel)
+        with clock("read"):
+            change = _read(lattice, light[band], flux[band])
+            residual = max(residual, change)
+            for other, scale in multiples.items():
+                np.multiply(light[band], scale, out=light[other])
+                np.multiply(flux[band], scale, out=flux[other])
+
+    report = Report(
+        model=settings.model,
+        device=device.label,
+        steps=steps,
+        residual=residual,
+        seconds=clock.seconds,
+        bytes=needed,
+        runs=len(runs),
+    )
+    return Field(medium.domain, light, np.zeros_like(light), flux, report)
+
+
+def plan(shape, settings, device, bands, occluded, lights=0):
+    """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
+    if device.kind == "NumPy":
+        buffers = PaperReference.buffers(shape, occluded)
+    else:
+        from .paper_opencl import PaperLattice
+
+        buffers = PaperLattice.buffers(shape, settings.kernel, occluded)
+    medium = 4 + (4 if occluded else 0)
+    field = bands * (1 + 1 + 3) * 4  # fluence, direct, flux
+    work = 3 * 8  # the light now, the light before, their difference
+    return buffers, (medium + field + work) * prod(shape)
+
+
+def boundary_inflow(lights, bands):
+    """(bands, 19) W/m^2: the light that a boundary node holds in each direction.
+
+    A sun's is proportional to the positive part of n_m . direction (paper 1, section 3), scaled
+    so that the sum over directions is its irradiance, which is the fluence of a free beam. A
+    sky's is its radiance times 4 pi w_m, so that a closed uniform sky gives 4 pi L everywhere.
+    """
+    inflow = np.zeros((bands, 19))
+    for light in lights:
+        if isinstance(light, Sun):
+            toward = np.asarray(light.direction, float) / np.linalg.norm(light.direction)
+            share = np.maximum(0, UNIT @ toward)
+            inflow += np.outer(by_band(light.irradiance, bands), share / share.sum())
+        elif isinstance(light, Sky):
+            for m in range(1, 19):
+                radiance = by_band(light.towards(-UNIT[m]), bands)
+                inflow[:, m] += 4 * np.pi * WEIGHTS[m] * radiance
+        else:
+            raise LightError(
+                "The paper's model takes light from far outside only; "
+                f"replace the {type(light).__name__} by a Sun or a Sky."
+            )
+    if not inflow.any():
+        raise LightError(
+            "There is no light; add a sun, or a world with a colour that is not black."
+        )
+    return inflow
+
+
+def _refuse_unfit(medium):
+    """The media that the paper's model has no place for."""
+    if min(medium.shape) < SMALLEST_EDGE:
+        raise MediumError(
+            f"The lattice needs {SMALLEST_EDGE} voxels or more along each edge; "
+            f"the medium has {' x '.join(map(str, medium.shape))}."
+        )
+    if medium.emission is not None and medium.emission.any():
+        raise MediumError("The paper's model has no emission inside the medium; leave it out.")
+    thickest = float(medium.sigma_t.max()) * float(medium.density.max())
+    if thickest > 2:  # equation 4: the diffusion coefficient is negative, and the light explodes
+        raise MediumError(
+            f"sigma_t x density reaches {thickest:g} per voxel, and the paper's model is unstable "
+            "above 2; lower the density, or bring the medium to the paper's units."
+        )
+
+
+def _lattice(medium, settings, device):
+    if device.kind == "NumPy":
+        return PaperReference(medium, settings.keep_absorbed)
+    from .paper_opencl import PaperLattice  # only now: it needs pyopencl
+
+    return PaperLattice(medium, settings.keep_absorbed, device, settings.kernel)
+
+
+def _distinct_runs(medium, inflow):
+    """[(band to solve, {band: its multiple})]: bands that differ by a factor are solved once.
+
+    The lattice is linear in the light, so in a grey medium a coloured sun needs one run.
+    """
+    runs = []
+    for band in range(medium.bands):
+        for solved, multiples in runs:
+            factor = _factor(inflow[band], inflow[solved])
+            if factor is not None and all(
+                values[band] == values[solved]
+                for values in (medium.sigma_s, medium.sigma_a, medium.g)
+            ):
+                multiples[band] = factor
+                break
+        else:
+            runs.append((band, {band: 1.0}))
+    return runs
+
+
+def _factor(inflow, base):
+    """inflow / base where they are multiples of each other, else None."""
+    if not base.any():
+        return None if inflow.any() else 0.0
+    factor = inflow.sum() / base.sum()
+    return factor if np.allclose(inflow, factor * base, rtol=1e-12, atol=0) else None
+
+
+def _advance(lattice, steps, run, runs, progress, cancel):
+    for done in range(0, steps, _REPORT_EVERY):
+        if cancel is not None and cancel():
+            raise Cancelled("Cancelled; nothing was changed.")
+        lattice.advance(min(_REPORT_EVERY, steps - done))
+        if progress is not None:
+            progress("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
+
+
+def _read(lattice, fluence, flux):
+    """Fill fluence (nx, ny, nz) and flux (3, nx, ny, nz); the relative change of the last step.
+
+    A function of its own so that no view of the lattice's light outlives it.
+    """
+    with lattice.read(previous=True) as f:
+        before = f.sum(axis=0)
+    with lattice.read() as f:
+        now = f.sum(axis=0)
+        np.einsum("ma,m...->a...", UNIT, f, out=flux, casting="same_kind")
+    fluence[...] = now
+    return _relative_change(now, before)
+
+
+def _relative_change(now, before):
+    norm = float(np.linalg.norm(now))
+    return float(np.linalg.norm(now - before)) / norm if norm else 0.0

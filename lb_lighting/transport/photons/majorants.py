@@ -1,0 +1,425 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Upper bounds of a density in super-voxels, which the free path samplers step through.
+
+Lengths are in fine cells, the pieces in which the density is one polynomial: the voxels where it
+is constant in them, the boxes between voxel centres where it is linear between those. A
+super-voxel is a cube of `size` fine cells an edge; cell (i, j, k) begins at (i, j, k) * size.
+
+The linear bound of a super-voxel is the trilinear function of the least mean that is nowhere
+below the density. Bound minus density is trilinear in a fine cell, so it is least at a corner,
+and it is enough to demand the bound at the nodes: a linear program in the 8 values that the
+bound has at the super-voxel's corners.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ...errors import SettingsError, require_known
+from .. import device as devices
+
+INTERPOLATIONS = ("constant", "linear")
+KINDS = ("constant", "linear")
+
+# Devices compute in float32, where a rounding is an error of up to _ROUNDING. The nodes' check of
+# a bound, its coefficients, local coordinates and sum, and the interpolation of the density make
+# fewer than 32 of them, each of at most the sum of the coefficients' magnitudes.
+_ROUNDING = 2.0**-24
+_MARGIN = 32 * _ROUNDING
+
+# Maximum densities beyond which they would underflow or overflow on the way.
+_SMALLEST, _LARGEST = 1e-30, 1e30
+
+# The linear program stops this close to its optimum, as a share of the bound's mean, or after
+# so many exchanges; a head volume takes 12 on average and 50 at most.
+_TOLERANCE = 1e-3
+_EXCHANGES = 64
+_SMALLEST_PIVOT = 1e-4  # of an exchange; float32 turns smaller ones into noise
+
+_FINEST = 32  # nodes an edge, less one, of the largest linear program; beyond, blocks are merged
+_LANES = 16  # super-voxels that lie side by side in the kernel's memory
+_SCRATCH = 2**27  # bytes for the kernel's node values at a time
+_BATCH = 2**20  # node values at a time in NumPy
+
+# The corners of a super-voxel, z fastest, and the powers of x, y, z in the terms of a bound.
+_CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+_TERMS = np.array(
+    [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (1, 1, 1)]
+)
+# Coefficients from corner values: a term takes the alternating sum of the corners below it.
+_COEFFICIENTS = np.array(
+    [
+        [(-1.0) ** (term - corner).sum() if np.all(corner <= term) else 0.0 for corner in _CORNERS]
+        for term in _TERMS
+    ]
+)
+
+# The cost of crossing one super-voxel in that of one tentative collision, by kind of bound, and
+# how much of the constant bound's excess over the density the linear one keeps: near what
+# tests/benchmarks/freepath.py measures of a head.
+CELL_COST = {"constant": 0.65, "linear": 0.8}
+LINEAR_EXCESS = 0.6
+
+
+@dataclass(frozen=True)
+class FineGrid:
+    """A density as the samplers see it.
+
+    values  float32, C order: voxels, or nodes where node i lies at coordinate i
+    shape   (3,) fine cells
+    lower   coordinate at which the domain begins, on each axis
+    upper   (3,) coordinates at which it ends
+    """
+
+    values: np.ndarray
+    shape: tuple
+    lower: float
+    upper: tuple
+
+
+@dataclass(frozen=True)
+class Bound:
+    """An upper bound of the density, as float32 computes both.
+
+    size    fine cells along an edge of a super-voxel
+    values  float32; (mx, my, mz), or (mx, my, mz, 8) coefficients of [1, x, y, z, xy, yz, zx, xyz]
+            with x, y, z from 0 to 1 along the super-voxel. Nothing is promised beyond the fine
+            grid, where the last super-voxels may stick out
+    mean    of the bound over the domain, in units of density
+    """
+
+    size: int
+    values: np.ndarray
+    mean: float
+
+
+def fine_cells(density, interpolation="constant"):
+    """The `FineGrid` of a density (nx, ny, nz).
+
+    "constant" is constant in each voxel. "linear" is trilinear between the voxels' centres and
+    constant in the outer half voxels: the density is repeated once around itself, and the domain
+    begins at 0.5. SettingsError for another interpolation.
+    """
+    require_known(interpolation, INTERPOLATIONS, "interpolation")
+    density = np.ascontiguousarray(density, np.float32)
+    if interpolation == "constant":
+        return FineGrid(density, density.shape, 0.0, tuple(map(float, density.shape)))
+    nodes = np.pad(density, 1, mode="edge")
+    upper = tuple(n + 0.5 for n in density.shape)
+    return FineGrid(nodes, tuple(n + 1 for n in density.shape), 0.5, upper)
+
+
+def constant_bound(density, size, interpolation="constant"):
+    """The `Bound` by the maximum density of each super-voxel; SettingsError for a size below 1."""
+    grid = fine_cells(density, interpolation)
+    _require_size(size)
+    values = _block_maxima(grid.values, grid.shape, size)
+    if interpolation == "linear":  # interpolating rounds, a voxel's own value does not
+        values = (values * (1 + _MARGIN)).astype(np.float32)
+    return Bound(size, values, _mean(values[..., None], _TERMS[:1], grid, size))
+
+
+def linear_bound(density, size, interpolation="constant", device=None):
+    """The `Bound` by the least trilinear function in each super-voxel.
+
+    It is at most 0.1 % above the least mean that is possible (up to 32 fine cells an edge; beyond,
+    it bounds the maxima of small blocks), and in no super-voxel looser than the constant bound.
+    device  as in `device.choose`; NumPy computes in float64, OpenCL in float32
+    SettingsError for a size below 1.
+    """
+    grid = fine_cells(density, interpolation)
+    _require_size(size)
+    device = devices.choose(device)
+    merged = _merged(size, max(grid.shape))
+    if merged == 1:
+        problem = _Problem(grid.values, grid.shape, size, interpolation == "constant")
+    else:
+        blocks = _block_maxima(grid.values, grid.shape, merged)
+        problem = _Problem(blocks, blocks.shape, size // merged, True)
+    values = np.empty((*problem.cells, 8), np.float32)
+    constant = constant_bound(density, size, interpolation).values
+    solve = _solve_by_numpy if device.kind == "NumPy" else _solve_by_opencl
+    for layers, slab in problem.slabs():
+        corners = solve(slab, device)
+        values[layers] = _polynomials(corners, constant[layers], slab, interpolation)
+    return Bound(size, values, _mean(values, _TERMS, grid, size))
+
+
+def sizes(shape):
+    """The sizes to choose from for so many fine cells: 1, 2, 4, ... up to the whole domain."""
+    return [2**power for power in range((max(shape) - 1).bit_length() + 1)]
+
+
+def choose_size(density, depth_per_density, kind, interpolation="constant"):
+    """The size of super-voxels that makes tracing cheapest.
+
+    depth_per_density  optical depth of one fine cell at density 1
+    kind               "constant" or "linear", the bound
+    By `cost`, where fluence is uniform. How far a path flies, and so the first super-voxel of every
+    flight, costs the same at every size.
+    """
+    require_known(kind, KINDS, "kind of bound")
+    grid = fine_cells(density, interpolation)
+    mean = float(np.mean(density, dtype=float))
+    maxima, costs = _block_maxima(grid.values, grid.shape, 1), {}
+    for size in sizes(grid.shape):
+        if size > 1:
+            maxima = _block_maxima(maxima, maxima.shape, 2)
+        bound = _mean(maxima[..., None], _TERMS[:1], grid, size)
+        # The middle node of 2 x 2 x 2 voxels takes their maximum, and so does any linear bound.
+        if kind == "linear" and (size > 2 or interpolation == "linear"):
+            bound = mean + LINEAR_EXCESS * (bound - mean)
+        costs[size] = cost(kind, size, depth_per_density * bound)
+    return min(costs, key=costs.get)
+
+
+def cost(kind, size, depth):
+    """What tracing costs for each fine cell of a path's length, in tentative collisions.
+
+    depth  optical depth of a fine cell under the mean bound
+    A ray crosses 3/2 / size super-voxels a fine cell: the mean chord 4V/S of a cube is 2/3 of its
+    edge. It meets as many tentative collisions as the bound is deep.
+    """
+    return CELL_COST[kind] * 1.5 / size + depth
+
+
+def _require_size(size):
+    if size < 1:
+        raise SettingsError(f"A super-voxel must have 1 fine cell or more an edge, not {size}.")
+
+
+def _merged(size, longest):
+    """Fine cells an edge of the blocks that a linear program of few enough nodes can tell apart."""
+    extent = min(size, longest)
+    return next(n for n in range(1, size + 1) if size % n == 0 and extent <= n * _FINEST)
+
+
+def _block_maxima(values, fine, size):
+    """(mx, my, mz): the largest of `values` in each cube of `size` of the `fine` cells (3,).
+
+    `values` are one a cell, or nodes, one more along each axis; cubes share those on their faces.
+    """
+    for axis, cells in enumerate(fine):
+        along = np.moveaxis(values, axis, 0)
+        shared = len(along) - cells
+        if size == 1 and not shared:
+            continue
+        maxima = along[:cells:size].copy("K")  # in the order of `values`
+        # Slice by slice: NumPy's reduceat takes forty times as long.
+        for offset in range(1, min(size, cells) + shared):
+            part = along[offset::size][: len(maxima)]
+            np.maximum(maxima[: len(part)], part, out=maxima[: len(part)])
+        values = np.moveaxis(maxima, 0, axis)
+    return values
+
+
+def _mean(values, terms, grid, size):
+    """The mean over the domain of polynomials (mx, my, mz, terms).
+
+    The mean of a multilinear function over a box is its value at the centre.
+    """
+    lengths, centers = [], []
+    for cells, upper in zip(values.shape, grid.upper, strict=False):
+        edges = np.clip(np.arange(cells + 1) * float(size), grid.lower, upper)
+        lengths.append(np.diff(edges))
+        centers.append((edges[1:] + edges[:-1]) / 2 / size - np.arange(cells))
+    total = 0.0
+    for term, powers in enumerate(terms):
+        x, y, z = (w * c**p for w, c, p in zip(lengths, centers, powers, strict=True))
+        for layer, weight in zip(values[..., term], x, strict=True):
+            total += weight * (y @ (layer @ z))
+    return float(total / np.prod([w.sum() for w in lengths]))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The linear programs of a grid of super-voxels.
+
+    values   float32, voxels or nodes
+    fine     (3,) fine cells
+    size     fine cells along an edge of a super-voxel
+    blocky   whether `values` are voxels: a node takes the largest of those around it that its
+             super-voxel has
+    """
+
+    values: np.ndarray
+    fine: tuple
+    size: int
+    blocky: bool
+
+    @property
+    def cells(self):
+        return tuple(-(-n // self.size) for n in self.fine)
+
+    @property
+    def nodes(self):
+        """(3,) the most nodes that a super-voxel has along each axis."""
+        return tuple(min(self.size, n) + 1 for n in self.fine)
+
+    def extents(self, axis):
+        """(cells,) fine cells that each super-voxel really has along an axis."""
+        return np.minimum(self.size, self.fine[axis] - np.arange(self.cells[axis]) * self.size)
+
+    def slabs(self):
+        """(slice of layers, `_Problem`) of as many layers along x as fit into the scratch."""
+        layer = 4 * int(np.prod(self.nodes)) * self.cells[1] * self.cells[2]
+        step = max(1, _SCRATCH // layer)
+        for first in range(0, self.cells[0], step):
+            last = min(first + step, self.cells[0])
+            begin, end = first * self.size, min(last * self.size, self.fine[0])
+            values = self.values[begin : end + (0 if self.blocky else 1)]
+            slab = _Problem(values, (end - begin, *self.fine[1:]), self.size, self.blocky)
+            yield slice(first, last), slab
+
+
+def _polynomials(corners, constant, problem, interpolation):
+    """(mx, my, mz, 8) float32 coefficients from the corner values of what each super-voxel has.
+
+    Where that is no better than the constant bound (mx, my, mz), it becomes the constant bound.
+    """
+    values = np.empty(corners.shape, np.float32)
+    x, y, z = (problem.size / problem.extents(axis) for axis in range(3))
+    for layer, stretch in enumerate(x):  # one at a time, for the sake of the cache
+        usable = (constant[layer] > _SMALLEST) & (constant[layer] < _LARGEST)
+        coefficients = np.where(usable[..., None], corners[layer], 0) @ _COEFFICIENTS.T
+        slope = np.abs(coefficients[..., 1:]).sum(axis=-1)
+        size = np.abs(coefficients[..., 0]) + slope
+        # Where bound and density are both constant, nothing is rounded.
+        coefficients[..., 0] += _MARGIN * size * ((slope > 0) | (interpolation == "linear"))
+        mean = coefficients @ 0.5 ** _TERMS.sum(axis=1)
+        worse = ~(usable & (mean < constant[layer]))
+        coefficients[worse] = 0
+        coefficients[worse, 0] = constant[layer][worse]
+        # From coordinates along what there is of the super-voxel to those along the whole.
+        stretches = stretch, y[:, None], z[None, :]
+        for term, powers in enumerate(_TERMS):
+            for along, power in zip(stretches, powers, strict=True):
+                if power:
+                    coefficients[..., term] *= along
+        values[layer] = coefficients
+    return values
+
+
+def _solve_by_opencl(problem, device):
+    """Corner values (mx, my, mz, 8) of the least bounds, by kernels/photons/majorants.cl."""
+    import pyopencl as cl
+
+    context, queue = devices.context(device), devices.queue(device)
+    program = devices.program(device, "photons/majorants.cl", _defines())
+    count = int(np.prod(problem.cells))
+    groups = -(-count // _LANES)
+    corners = np.empty((*problem.cells, 8), np.float32)
+    flags = cl.mem_flags
+    values = cl.Buffer(context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=problem.values)
+    scratch = cl.Buffer(
+        context, flags.READ_WRITE, 4 * _LANES * groups * int(np.prod(problem.nodes))
+    )
+    result = cl.Buffer(context, flags.WRITE_ONLY, corners.nbytes)
+    triples = [cl.cltypes.make_int3(*t) for t in (problem.fine, problem.cells, problem.nodes)]
+    fit = cl.Kernel(program, "fit")
+    options = np.int32(problem.size), np.int32(problem.blocky)
+    fit(queue, (groups * _LANES,), (_LANES,), values, *triples, *options, scratch, result)
+    cl.enqueue_copy(queue, corners, result)
+    return corners
+
+
+def _defines():
+    return (
+        f"LANES={_LANES}",
+        f"EXCHANGES={_EXCHANGES}",
+        f"TOLERANCE={_TOLERANCE}f",
+        f"SMALLEST_PIVOT={_SMALLEST_PIVOT}f",
+    )
+
+
+def _solve_by_numpy(problem, device=None):
+    """The same in NumPy float64: the kernel's twin."""
+    corners = np.empty((*problem.cells, 8))
+    for alike in product(*(_alike(problem, axis) for axis in range(3))):
+        cells, extents = zip(*alike, strict=True)
+        nodes = _node_values(problem, cells, extents)
+        weights = _corner_weights(extents)
+        least = np.empty((len(nodes), 8))
+        step = max(1, _BATCH // nodes.shape[1])
+        for first in range(0, len(nodes), step):
+            batch = slice(first, first + step)
+            least[batch] = _least_corners(nodes[batch].astype(float), weights)
+        corners[np.ix_(*cells)] = least.reshape(*map(len, cells), 8)
+    return corners
+
+
+def _alike(problem, axis):
+    """[(super-voxels, fine cells they have)] along an axis: the whole ones, then the cut one."""
+    whole, rest = divmod(problem.fine[axis], problem.size)
+    alike = [(np.arange(whole), problem.size), (np.array([whole]), rest)]
+    return [(cells, extent) for cells, extent in alike if len(cells) and extent]
+
+
+def _node_values(problem, cells, extents):
+    """(cells, nodes) of the super-voxels at `cells`, a triple of indices; z fastest in both."""
+    values = problem.values
+    for axis, (index, extent) in enumerate(zip(cells, extents, strict=True)):
+        begin = index[:, None] * problem.size
+        node = np.arange(extent + 1)
+        if problem.blocky:
+            below, above = np.maximum(node - 1, 0), np.minimum(node, extent - 1)
+            values = np.maximum(
+                values.take((begin + below).ravel(), axis),
+                values.take((begin + above).ravel(), axis),
+            )
+        else:
+            values = values.take((begin + node).ravel(), axis)
+    split = [n for i, e in zip(cells, extents, strict=True) for n in (len(i), e + 1)]
+    values = values.reshape(split).transpose(0, 2, 4, 1, 3, 5)
+    return values.reshape(int(np.prod(split[::2])), -1)
+
+
+def _corner_weights(extents):
+    """(nodes, 8): the share of each corner in a trilinear function at each node."""
+    x, y, z = (np.stack([1 - t, t]) for t in (np.arange(e + 1) / e for e in extents))
+    return np.einsum("ai,bj,ck->ijkabc", x, y, z).reshape(-1, 8)
+
+
+def _least_corners(nodes, weights):
+    """(cells, 8): corner values of the least trilinear functions above `nodes` (cells, nodes).
+
+    The dual simplex method. Each cell has 8 nodes at which its function touches, at first the
+    corners; the node that it misses by most comes in, and the one goes whose share in the dual
+    objective would be the first to turn negative. On the way the mean of the function can only
+    grow, and it is never above the optimum; lifted by what it misses, it is a bound.
+    """
+    best = np.empty((len(nodes), 8))
+    least = np.full(len(nodes), np.inf)
+    at_corner = np.argmax(weights, axis=0)
+    going = np.arange(len(nodes))
+    corners = nodes[:, at_corner]
+    inverse = np.tile(np.eye(8), (len(nodes), 1, 1))  # from values at the 8 nodes to corner values
+    share = np.ones((len(nodes), 8))
+    for _ in range(_EXCHANGES + 1):
+        missing = nodes - corners @ weights.T
+        worst = missing.argmax(axis=1)
+        excess = np.maximum(missing[np.arange(len(nodes)), worst], 0)
+        mean = corners.mean(axis=1)
+        better = mean + excess < least[going]
+        least[going[better]] = (mean + excess)[better]
+        best[going[better]] = (corners + excess[:, None])[better]
+
+        on = excess > _TOLERANCE * mean
+        if not on.any():
+            break
+        going, nodes, corners, inverse, share, excess, worst = (
+            a[on] for a in (going, nodes, corners, inverse, share, excess, worst)
+        )
+        entering = np.einsum("ci,cik->ck", weights[worst], inverse)
+        usable = entering > _SMALLEST_PIVOT  # some are: they sum to 1
+        ratio = np.where(usable, share / np.where(usable, entering, 1), np.inf)
+        leaving, step = ratio.argmin(axis=1), ratio.min(axis=1)
+        row = np.arange(len(nodes))
+        column = inverse[row, :, leaving] / entering[row, leaving, None]
+        corners = corners + column * excess[:, None]
+        inverse -= column[:, :, None] * entering[:, None, :]
+        inverse[row, :, leaving] = column
+        share = np.maximum(share - step[:, None] * entering, 0)
+        share[row, leaving] = step
+    return best

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A picture of a medium in its light by free path sampling alone: nothing is solved or stored.
+
+A path goes from the camera into the medium on free paths. At each collision another free path is
+drawn towards each sun and point light, and where it gets there, the light counts (next-event
+estimation); the sky counts where a path leaves after a collision. So the mean of the pictures is
+the solution of the transfer equation, in any density, and only noise is left to average out.
+
+kernels/preview/preview.cl follows the paths; `NumpyEye` is its twin.
+"""
+
+from dataclasses import dataclass
+from itertools import count
+from math import prod
+from time import perf_counter
+
+import numpy as np
+
+from ...errors import LightError, MediumError, SettingsError, require_whole
+from .. import device as devices
+from ..lights.lamps import PointLight, Sky, Sun, by_band
+from ..photons.free_path import enter, path_grid, refuse_violations
+from ..photons.perlin import PerlinMedium
+
+_COARSEST = 8  # pixels between those that are looked at first
+_PIECE = 0.2  # s that a piece of a picture should take
+_MOST_STEPS = 2 * 10**5  # of a path, before it is given up: some milliseconds
+_ANY = 2**30  # scatterings of a path
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera.
+
+    matrix       (3, 4) or (4, 4): its axes to the right, up and back, and its place in m, as
+                 columns: `matrix_world` of a camera of Blender, unscaled
+    height       of the picture: m; with perspective, of what is seen at a distance of 1
+    size         (width, height) in pixels
+    perspective  whether rays come from the camera's place, and not from a plane through it
+    """
+
+    matrix: np.ndarray
+    height: float
+    size: tuple = (160, 120)
+    perspective: bool = False
+
+    def __post_init__(self):
+        matrix = np.asarray(self.matrix, float)
+        fits = matrix.shape in ((3, 4), (4, 4)) and np.all(np.isfinite(matrix))
+        if not fits or not 0 < self.height < np.inf:
+            raise SettingsError("A view needs a matrix of 3 or 4 rows of 4, and a height.")
+        for edge in self.size:
+            require_whole(edge, "picture's edge in pixels", 1, 2**14)
+        object.__setattr__(self, "matrix", matrix)
+
+    @classmethod
+    def onto(cls, domain, direction, up=(0, 0, 1), size=(160, 120)):
+        """All of a `Domain` without perspective, along `direction` (3,)."""
+        back = -np.divide(direction, np.linalg.norm(direction))
+        right = np.cross(up, back)
+        if np.linalg.norm(right) < 1e-6:  # from above or below
+            right = np.cross(np.eye(3)[np.argmin(np.abs(back))], back)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(back, right), back])
+        extent = np.subtract(domain.upper, domain.origin)
+        width, height, depth = np.abs(axes) @ extent
+        center = np.add(domain.origin, extent / 2) + back * depth
+        height = max(height, width * size[1] / size[0])
+        return cls(np.column_stack([axes.T, center]), float(height), tuple(size))
+
+    def rays(self, pixels, within):
+        """Origins in m and directions, (n, 3) each, through pixels (n,), row by row from the lower
+        left; `within` (n, 2) are the places in them, in [0, 1)."""
+        columns, rows = self.size
+        place = np.stack([pixels % columns, pixels // columns], axis=1) + within
+        x, y = ((place - np.divide(self.size, 2)) * (self.height / rows)).T
+        right, up, back, position = self.matrix[:3].T
+        on_plane = x[:, None] * right + y[:, None] * up
+        if self.perspective:
+            return np.tile(position, (len(x), 1)), on_plane - back
+        return position + on_plane, np.tile(-back, (len(x), 1))
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is seen so far.
+
+    pixels   (height, width, 4) float32, the lower row first as in Blender: linear red, green and
+             blue, W/(m^2 sr), and the share of rays that met something. The light of what is
+             behind is not in it, so that it can be put over any background as it is
+    samples  paths of a pixel, on average
+    lost     share of paths that took too long and were given up, so that light is missing
+    """
+
+    pixels: np.ndarray
+    samples: float
+    lost: float
+
+
+def pictures(
+    medium,
+    lights,
+    view,
+    device=None,
+    seed=0,
+    *,
+    sampler="supervoxel_constant",
+    scatterings=None,
+):
+    """Ever better `Picture`s of a medium, without end; the generator may be closed at any time.
+
+    medium       `Medium` or `PerlinMedium` of one band or three, with its emission and opaque
+                 voxels, those on the domain's faces seen from inside only; what it radiates anew
+                 in other bands is left out
+    lights       `Sun`s, `Sky`s and `PointLight`s; of a sun's shadow density it does not know
+    view         `View`
+    device       None for the best, or part of the label of one of `device.devices()`
+    seed         0 to 2^32 - 1; pictures of whole samples depend on nothing else
+    sampler      one of free_path.SAMPLERS; the default is the quickest to prepare
+    scatterings  that light may have had on its way, at most; 1 for single scattering, None for all
+    The first picture is a coarse one; the first with a sample in each pixel follows soon. What a
+    picture adds takes about a fifth of a second.
+    Raises MediumError, LightError, SettingsError, DeviceError, or SolverError for a bound that does
+    not hold, which would be a bias.
+    """
+    require_whole(seed, "seed", 0, 2**32 - 1)
+    if scatterings is not None:
+        require_whole(scatterings, "number of scatterings", 1, _ANY)
+    least = -(-prod(view.size) // _COARSEST**2)
+    look = _Look(medium, lights, view, devices.choose(device), sampler, scatterings or _ANY)
+    order, piece = _coarse_first(view.size), least
+    sums, samples = np.zeros((len(order), 4)), np.zeros(len(order), int)
+    for sample in count():
+        rng = np.random.default_rng([seed, sample])
+        within, stream = rng.random((len(order), 2)), rng.integers(2**32)
+        first = 0
+        while first < len(order):
+            pixels = order[first : first + piece]
+            start = perf_counter()
+            sums[pixels] += look(pixels, within[pixels], stream)
+            faster = _PIECE / max(perf_counter() - start, 1e-6)
+            samples[pixels] += 1
+            first += piece
+            piece = int(np.clip(piece * np.clip(faster, 0.25, 4), least, len(order)))
+            done = int(samples.sum())
+            pixels = _filled(sums, samples, view.size)
+            yield Picture(pixels, done / len(order), look.lost / done)
+
+
+class _Look:
+    """Adds a sample to pixels: what stays the same for all of them."""
+
+    def __init__(self, medium, lights, view, device, sampler, scatterings):
+        if medium.bands not in (1, 3):
+            raise MediumError(f"A preview shows one band or three; the medium has {medium.bands}.")
+        devices.require_memory(device, medium.shape, lambda shape: _plan(shape, medium))
+        self.medium, self.view, self.scatterings = medium, view, scatterings
+        self.lost = 0.0
+        self.skies = [light.seen(medium.bands) for light in lights if isinstance(light, Sky)]
+        self.grid = path_grid(medium, sampler, device=device)
+        emission, opaque = _shining(medium), _opaque(medium)
+        self.eye = _eye(self.grid, device, _targets(lights, medium, self.grid), emission, opaque)
+        optics = list(zip(medium.sigma_t, medium.g, strict=True))
+        self.alike = [[n for n, o in enumerate(optics) if o == some] for some in {*optics}]
+
+    def __call__(self, pixels, within, stream):
+        """(n, 4): light in three bands and whether something was met, of a path in each pixel."""
+        origins, directions = self.view.rays(pixels, within)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        _, inside, hit = enter(self.grid, origins, directions)
+        found = np.zeros((len(pixels), 4))
+        if not hit.any():
+            return found
+        rays = np.concatenate([inside[hit], directions[hit]], axis=1, dtype=np.float32).T
+        for bands in self.alike:
+            light, met = self._see(np.ascontiguousarray(rays), pixels[hit], stream, bands[0])
+            channels = bands if self.medium.bands == 3 else [0, 1, 2]
+            found[np.ix_(np.flatnonzero(hit), channels)] = light[:, channels]
+            found[hit, 3] += met * (len(bands) / self.medium.bands)
+        return found
+
+    def _see(self, rays, pixels, stream, band):
+        """Light in three bands, (n, 3), and whether something was met, by the paths of a band."""
+        medium = self.medium
+        seen, left, violations = self.eye.see(
+            *(rays, pixels, self.grid.per_depth(band), stream, _MOST_STEPS, self.scatterings),
+            *(np.broadcast_to(medium.albedo, 3), medium.g[band]),
+        )
+        refuse_violations(violations)
+        self.lost += left[:, 3].sum() / len(self.alike)
+        for radiance in self.skies:
+            seen[:, :3] += left[:, 4:7] * radiance(left[:, :3])
+        return seen[:, :3], seen[:, 3]
+
+
+def _eye(grid, device, *scene):
+    if device.kind == "NumPy":
+        from .preview_numpy import NumpyEye
+
+        return NumpyEye(grid, *scene)
+    from .preview_opencl import OpenclEye  # only now: it needs pyopencl
+
+    return OpenclEye(grid, device, *scene)
+
+
+def _plan(shape, medium):
+    """({what: bytes} on the device, bytes on the host)."""
+    voxels = 0 if isinstance(medium, PerlinMedium) else prod(shape)
+    shining, opaque = (getattr(medium, n, None) is not None for n in ("emission", "occlusion"))
+    return {
+        "density and its bound": 8 * voxels,
+        "emission": 16 * voxels * shining,
+        "opaque voxels": 20 * voxels * opaque,
+    }, 8 * voxels
+
+
+def _targets(lights, medium, grid):
+    """(n, 8) float32: the suns and point lights, as kernels/preview/preview.cl takes them."""
+    targets = []
+    for light in lights:
+        if isinstance(light, Sun):
+            toward = -np.divide(light.direction, np.linalg.norm(light.direction))
+            place, scale = (*toward, 0), 1.0
+        elif isinstance(light, PointLight):
+            place, scale = (*grid.fine_from_world(light.position), 1), 4 * np.pi
+            scale = 1 / (scale * medium.voxel_size**2)
+        elif isinstance(light, Sky):
+            continue
+        else:
+            raise LightError(f"A preview shows suns, skies and point lights; leave {light!r} out.")
+        sent = np.broadcast_to(by_band(light.spectrum, medium.bands), 3)
+        targets.append((*place, *(scale * sent), 0))
+    return np.array(targets, np.float32).reshape(-1, 8)
+
+
+def _shining(medium):
+    """(voxels, 4) float32 W/(m^2 sr), what the medium adds on a voxel's edge; or None."""
+    emission = getattr(medium, "emission", None)
+    if emission is None:
+        return None
+    return _three_bands(emission * np.float32(medium.voxel_size / (4 * np.pi)))
+
+
+def _opaque(medium):
+    """(occlusion (nx, ny, nz), its albedo (voxels, 4)), float32; or None."""
+    if getattr(medium, "occlusion", None) is None:
+        return None
+    albedo = np.asarray(medium.occlusion_albedo)
+    albedo = albedo[:, None, None, None] if albedo.ndim == 1 else albedo
+    albedo = np.broadcast_to(albedo, (medium.bands, *medium.shape))
+    return medium.occlusion, _three_bands(albedo)
+
+
+def _three_bands(grids):
+    """Grids of one band or three, (bands, nx, ny, nz), as (voxels, 4); the last column is empty."""
+    bands, *shape = grids.shape
+    values = np.zeros((prod(shape), 4), np.float32)
+    values[:, :3] = grids.reshape(bands, -1).T
+    return values
+
+
+def _coarse_first(size):
+    """The pixels of a picture: those on a coarse lattice, then on finer and finer ones."""
+    columns, rows = size
+    y, x = np.indices((rows, columns)).reshape(2, -1)
+    place = x | y | _COARSEST
+    return np.argsort(-(place & -place), kind="stable")  # the largest power of two that fits both
+
+
+def _filled(sums, samples, size):
+    """(height, width, 4) float32: means; pixels that have none take those of coarser lattices."""
+    columns, rows = size
+    means = sums / np.maximum(samples, 1)[:, None]
+    pixels = means.astype(np.float32).reshape(rows, columns, 4)
+    empty = samples.reshape(rows, columns) == 0
+    stride = _COARSEST // 2
+    while stride and empty.any():
+        y, x = np.nonzero(empty[::stride, ::stride])
+        y, x, coarse = y * stride, x * stride, 2 * stride
+        pixels[y, x] = pixels[y - y % coarse, x - x % coarse]
+        stride //= 2
+    return pixels

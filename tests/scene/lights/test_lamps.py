@@ -1,0 +1,459 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lamps and the world, held to what Cycles makes of them."""
+
+from math import pi, radians
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler
+
+from lb_lighting.errors import LightError
+from lb_lighting.scene.lights.lamps import scene_lights
+from lb_lighting.transport import Medium
+from lb_lighting.transport.lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun, bands_of
+from lb_lighting.transport.lights.sampling import even_directions
+
+
+def add_sun(collection=None, rotation=(0, 0, 0), **settings):
+    lamp = bpy.data.lights.new("sun", "SUN")
+    for name, value in settings.items():
+        setattr(lamp, name, value)
+    ob = bpy.data.objects.new("sun", lamp)
+    ob.rotation_euler = rotation
+    (collection or bpy.context.collection).objects.link(ob)
+    return ob
+
+
+def add_lamp(kind, location=(0, 0, 0), **settings):
+    lamp = bpy.data.lights.new(kind.lower(), kind)
+    for name, value in settings.items():
+        setattr(lamp, name, value)
+    ob = bpy.data.objects.new(lamp.name, lamp)
+    ob.location = location
+    bpy.context.collection.objects.link(ob)
+    return ob
+
+
+def add_world(color=(1, 1, 1), strength=1.0):
+    world = bpy.context.scene.world = bpy.data.worlds.new("world")
+    background = world.node_tree.nodes["Background"]
+    background.inputs["Color"].default_value = (*color, 1)
+    background.inputs["Strength"].default_value = strength
+    return world
+
+
+def add_environment(world, pixels):
+    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    height, width, _four = pixels.shape
+    node.image = bpy.data.images.new("sky", width, height, float_buffer=True)
+    node.image.pixels.foreach_set(pixels.astype(np.float32).ravel())
+    world.node_tree.links.new(node.outputs[0], world.node_tree.nodes["Background"].inputs["Color"])
+    return node
+
+
+def add_mapping(environment, kind, rotation):
+    tree = environment.id_data
+    mapping, place = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
+    mapping.vector_type = kind
+    mapping.inputs["Rotation"].default_value = rotation
+    tree.links.new(place.outputs["Generated"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], environment.inputs["Vector"])
+    return mapping
+
+
+def add_white_ground():
+    bpy.ops.mesh.primitive_plane_add(size=4)
+    material = bpy.data.materials.new("white")
+    nodes = material.node_tree.nodes
+    nodes["Principled BSDF"].inputs["Base Color"].default_value = (1, 1, 1, 1)
+    nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0
+    bpy.context.object.data.materials.append(material)
+
+
+def lights(notes=None):
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return scene_lights(bpy.context.scene, depsgraph, [] if notes is None else notes)
+
+
+def irradiance(found, normal):
+    """(3,) W/m^2 on a surface, from suns and from skies by 100 000 directions."""
+    total = np.zeros(3)
+    for light in found:
+        if isinstance(light, Sun):
+            total += np.multiply(light.irradiance, max(0, -np.dot(light.direction, normal)))
+        else:
+            towards = even_directions(np.arange(100_000), 100_000)
+            weights = 4 * pi * np.maximum(towards @ normal, 0) / len(towards)
+            radiance = light.towards(towards)
+            if np.ndim(radiance) < 2 and callable(light.radiance):
+                radiance = radiance[:, None]
+            total += weights @ np.broadcast_to(radiance, (len(towards), 3))
+    return total
+
+
+class TestSuns:
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"energy": 2.0, "color": (1, 0.5, 0.25)},
+            {"energy": 1.5, "exposure": 1.0, "use_temperature": True, "temperature": 3000},
+            {"energy": 4.0, "normalize": False, "angle": radians(30)},
+            {"energy": 4.0, "normalize": False, "angle": 0.0},
+        ],
+    )
+    def test_irradiance_is_that_of_cycles(self, settings, render):
+        """A white diffuse ground sends back irradiance over pi."""
+        add_white_ground()
+        add_sun(**settings)
+        (sun,) = lights()
+        assert render() * pi == pytest.approx(np.broadcast_to(sun.irradiance, 3), rel=1e-2)
+
+    def test_strength_and_color_of_its_nodes(self, render):
+        add_white_ground()
+        lamp = add_sun(energy=2.0).data
+        emission = lamp.node_tree.nodes["Emission"]
+        emission.inputs["Color"].default_value = (1, 0.5, 0, 1)
+        emission.inputs["Strength"].default_value = 3
+        (sun,) = lights()
+        assert sun.irradiance == pytest.approx((6, 3, 0))
+        assert render() * pi == pytest.approx(sun.irradiance, rel=1e-2)
+
+    def test_grey_is_a_scalar(self):
+        add_sun(energy=2.0)
+        assert lights() == [Sun((0, 0, -1), 2.0)]
+
+    def test_direction_is_where_the_light_goes(self):
+        rotation = Euler((0.5, -0.3, 1.2))
+        add_sun(rotation=rotation)
+        (sun,) = lights()
+        assert sun.direction == pytest.approx(-rotation.to_matrix().col[2])
+
+    def test_instanced(self):
+        collection = bpy.data.collections.new("lamps")
+        add_sun(collection)
+        empty = bpy.data.objects.new("empty", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        empty.rotation_euler = (pi / 2, 0, 0)
+        bpy.context.collection.objects.link(empty)
+        (sun,) = lights()
+        assert sun.direction == pytest.approx((0, 1, 0), abs=1e-6)
+
+    def test_hidden_ones_are_left_out(self):
+        add_sun(energy=1.0)
+        add_sun(energy=2.0).hide_render = True
+        collection = bpy.data.collections.new("off")
+        bpy.context.scene.collection.children.link(collection)
+        add_sun(collection, energy=3.0)
+        collection.hide_render = True
+        add_sun(energy=0.0)
+        assert [sun.irradiance for sun in lights()] == [1.0]
+
+    def test_those_hidden_in_viewports_only_shine(self):
+        """By itself, by its collection, or with the eye; each where it stands at this frame."""
+        scene, parent = bpy.context.scene, bpy.data.objects.new("parent", None)
+        scene.collection.objects.link(parent)
+        parent.rotation_euler = (pi / 2, 0, 0)
+        add_sun(energy=1.0).hide_viewport = True
+        collection = bpy.data.collections.new("off")
+        scene.collection.children.link(collection)
+        add_sun(collection, energy=2.0).parent = parent
+        collection.hide_viewport = True
+        moving = add_sun(energy=3.0)
+        moving.keyframe_insert("rotation_euler", frame=1)
+        moving.rotation_euler = (0, pi / 2, 0)
+        moving.keyframe_insert("rotation_euler", frame=2)
+        moving.hide_viewport = True
+        eye = add_sun(energy=4.0, rotation=(pi, 0, 0))
+        eye.hide_set(True)
+        scene.frame_set(2)
+        names = set(bpy.data.objects.keys())
+        directions = {sun.irradiance: sun.direction for sun in lights()}
+        assert directions == {
+            1.0: pytest.approx((0, 0, -1)),
+            2.0: pytest.approx((0, 1, 0), abs=1e-6),
+            3.0: pytest.approx((-1, 0, 0), abs=1e-6),
+            4.0: pytest.approx((0, 0, 1), abs=1e-6),
+        }
+        assert set(bpy.data.objects.keys()) == names
+        assert moving.hide_viewport
+        assert collection.hide_viewport
+
+    def test_one_in_two_collections_counts_once(self):
+        collection = bpy.data.collections.new("too")
+        bpy.context.scene.collection.children.link(collection)
+        collection.objects.link(add_sun())
+        assert len(lights()) == 1
+
+    def test_one_in_an_excluded_collection_is_left_out(self):
+        collection = bpy.data.collections.new("out")
+        bpy.context.scene.collection.children.link(collection)
+        add_sun(collection, energy=2.0)
+        bpy.context.view_layer.layer_collection.children["out"].exclude = True
+        add_sun(energy=1.0)
+        assert [sun.irradiance for sun in lights()] == [1.0]
+
+
+class TestPoints:
+    HEIGHT = 3.0  # m over the ground, of which the picture shows 0.25 m around the foot
+
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"energy": 200.0, "color": (1, 0.5, 0.25)},
+            {"energy": 100.0, "exposure": 1.0, "use_temperature": True, "temperature": 3000},
+            {"energy": 200.0, "shadow_soft_size": 0.2, "use_soft_falloff": False},
+            {"energy": 200.0, "normalize": False, "shadow_soft_size": 0.1},
+            {"energy": 200.0, "normalize": False, "shadow_soft_size": 0.0},
+        ],
+    )
+    def test_power_is_that_of_cycles(self, settings, render):
+        """A white diffuse ground sends back power / (4 pi distance^2) over pi.
+
+        The mean over the picture is 0.25 % less than right under the lamp.
+        """
+        add_white_ground()
+        add_lamp("POINT", (0, 0, self.HEIGHT), **settings)
+        (point,) = lights()
+        irradiance = np.broadcast_to(point.power, 3) / (4 * pi * self.HEIGHT**2)
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def test_is_where_the_lamp_is(self):
+        parent = bpy.data.objects.new("parent", None)
+        bpy.context.collection.objects.link(parent)
+        parent.location = (1, 2, 3)
+        add_lamp("POINT", (0.5, 0, 0), energy=10.0).parent = parent
+        assert lights() == [PointLight((1.5, 2, 3), 10.0)]
+
+    def test_its_radius_counts_where_its_falloff_is_soft(self):
+        for kind in ("POINT", "SPOT"):
+            add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25)
+            add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25, use_soft_falloff=False)
+        assert [lamp.radius for lamp in lights()] == [0.25, 0.0] * 2
+
+
+def falloff(cosine, angle, blend):
+    """Of a spot, (n,): the smoothstep between the cone's edge and its soft edge's."""
+    edge = np.cos(angle / 2)
+    share = np.clip((cosine - edge) / max(blend * (1 - edge), 1e-9), 0, 1)
+    return 3 * share**2 - 2 * share**3
+
+
+class TestSpots:
+    HEIGHT = 3.0  # m over the ground
+
+    @pytest.mark.parametrize(
+        ("tilt", "settings", "scale"),
+        [
+            (0.0, {"color": (1, 0.5, 0.25), "spot_blend": 1.0}, 1),
+            (0.2, {"use_temperature": True, "temperature": 3000, "spot_blend": 0.6}, 2),
+            (0.24, {"shadow_soft_size": 0.0, "spot_blend": 1.0}, 1),
+            (0.2, {"normalize": False, "shadow_soft_size": 0.02, "spot_blend": 0.15}, 1),
+            (0.0, {"normalize": False, "shadow_soft_size": 0.0}, 1),
+        ],
+    )
+    def test_light_is_that_of_cycles(self, tilt, settings, scale, render):
+        """On a white diffuse ground under it, of which the picture shows .25 m around the foot."""
+        add_white_ground()
+        settings = {"shadow_soft_size": 0.0, "energy": 300.0, "spot_size": 0.6} | settings
+        ob = add_lamp("SPOT", (0, 0, self.HEIGHT), **settings)
+        ob.rotation_euler, ob.scale = (tilt, 0, 0), (scale,) * 3
+        (spot,) = lights()
+        x, y = (np.indices((64, 64)) + 0.5).reshape(2, -1) / 64 * 0.5 - 0.25
+        way = np.stack((x, y, np.full(x.size, -self.HEIGHT)), axis=1)
+        length = np.linalg.norm(way, axis=1)
+        cosine = way @ spot.direction / length / np.linalg.norm(spot.direction)
+        shining = falloff(cosine, spot.angle, spot.blend) * self.HEIGHT / length**3
+        irradiance = np.broadcast_to(spot.power, 3) / (4 * pi) * shining.mean()
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+        ob = add_lamp("SPOT", (1, 2, 3), energy=10.0, spot_size=1.0, spot_blend=0.25)
+        ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
+        (spot,) = lights()
+        assert isinstance(spot, SpotLight)
+        assert spot.position == (1, 2, 3)
+        assert spot.direction == pytest.approx(-rotation.to_matrix().col[2])
+        assert (spot.angle, spot.power, spot.blend) == pytest.approx((1.0, 10.0, 0.25))
+
+    def test_a_stretched_one_has_a_wider_cone(self):
+        add_lamp("SPOT", spot_size=1.0).scale = (2, 2, 1)
+        (spot,) = lights()
+        assert np.tan(spot.angle / 2) == pytest.approx(2 * np.tan(0.5))
+
+    def test_cones_that_are_not_round_are_named(self):
+        add_lamp("SPOT").scale = (2, 2, 1)
+        add_lamp("SPOT").scale = (2, 1, 1)
+        skewed = add_lamp("SPOT")
+        skewed.rotation_euler = (0.5, 0, 0)
+        skewed.parent = add_lamp("POINT")
+        skewed.parent.scale = (1, 2, 1)
+        notes = []
+        bpy.context.view_layer.update()
+        scene_lights(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), notes)
+        (note,) = [note for note in notes if "round cone" in note]
+        assert "'spot.001', 'spot.002'" in note
+
+
+class TestAreas:
+    HEIGHT = 2.0  # m over the ground, of which the picture shows 0.25 m around the foot
+
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"shape": "SQUARE", "size": 0.5, "color": (1, 0.5, 0.25)},
+            {"shape": "RECTANGLE", "size": 1.0, "size_y": 0.3, "exposure": 1.0},
+            {"shape": "DISK", "size": 1.2},
+            {"shape": "ELLIPSE", "size": 0.4, "size_y": 1.0, "normalize": False},
+            {"shape": "RECTANGLE", "size": 1.0, "size_y": 0.3, "normalize": False},
+            {"shape": "DISK", "size": 0.5, "spread": radians(80)},
+        ],
+    )
+    @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 2, 3)])
+    def test_light_is_that_of_cycles(self, settings, scale, render):
+        """On a white diffuse ground, from photons of ours that hit the part that is seen."""
+        add_white_ground()
+        ob = add_lamp("AREA", (0, 0, self.HEIGHT), energy=100.0, **settings)
+        ob.scale, ob.rotation_euler = scale, (0, 0, 0.7)
+        (area,) = lights()
+        seen = Medium(np.zeros((4, 4, 4)), 0.125, (1, 1, 1), 0, origin=(-0.25, -0.25, 0))
+        irradiance = [self.through_ground(area, seen, band) / 0.25 for band in range(3)]
+        assert render() * pi == pytest.approx(irradiance, rel=1e-2)
+
+    def through_ground(self, area, seen, band):
+        origins, toward, power = area.emit(2**18, seen, np.random.default_rng(1), band)
+        toward[:, 2] = np.minimum(toward[:, 2], -1e-9)
+        ends = origins - origins[:, 2:] / toward[:, 2:] * toward
+        return power[np.all(abs(ends[:, :2]) < 0.25, axis=1)].sum()
+
+    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+        ob = add_lamp("AREA", (1, 2, 3), energy=10.0, shape="RECTANGLE", size=2.0, size_y=0.5)
+        ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
+        (area,) = lights()
+        assert isinstance(area, AreaLight)
+        assert area.center == (1, 2, 3)
+        assert np.cross(area.u, area.v) == pytest.approx(-rotation.to_matrix().col[2])
+        assert area.u == pytest.approx(0.5 * rotation.to_matrix().col[1])
+        assert (area.power, area.ellipse, area.spread) == (10.0, False, pytest.approx(pi))
+
+    @pytest.mark.parametrize(
+        "scale", [(-1, 1, 1), (1, 1, -1), (-1, -1, -1), (-1, -1, 1), (1, 1, 0)]
+    )
+    def test_mirrored_one_shines_where_cycles_lets_it(self, scale):
+        add_lamp("AREA", size=1.0).scale = scale
+        (area,) = lights()
+        assert np.cross(area.u, area.v) == pytest.approx((0, 0, -1 if scale[2] >= 0 else 1))
+
+    @pytest.mark.parametrize("kind", ["SUN", "SPOT", "AREA"])
+    def test_lamp_that_is_scaled_to_nothing_is_left_out(self, kind):
+        add_lamp(kind).scale = (0, 0, 0)
+        add_sun(energy=2.0)
+        notes = []
+        (sun,) = lights(notes)
+        assert sun.irradiance == pytest.approx(2.0)
+        assert notes == [f"Left out, because they are scaled to nothing: '{kind.lower()}'."]
+
+    def test_portals_do_not_shine(self):
+        add_lamp("AREA").data.cycles.is_portal = True
+        with pytest.raises(LightError, match="no light"):
+            lights()
+
+
+class TestWorld:
+    def test_color_times_strength(self):
+        add_world((0.5, 0.25, 1), 2.0)
+        (sky,) = lights()
+        assert isinstance(sky, Sky)
+        assert sky.radiance == pytest.approx((1, 0.5, 2))
+
+    def test_grey_is_a_scalar(self):
+        add_world(strength=0.5)
+        assert lights() == [Sky(0.5)]
+
+    def test_beside_a_sun(self):
+        add_world(strength=0.5)
+        add_sun(energy=2.0)
+        assert [type(light) for light in lights()] == [Sun, Sky]
+        assert [light.spectrum for light in lights()] == [2, 0.5]
+
+    def test_an_environment_is_a_sky_by_direction(self):
+        """Radiance 1 above 45 degrees of latitude."""
+        pixels = np.zeros((64, 8, 4))
+        pixels[48:] = 1
+        add_environment(add_world(), pixels)
+        (sky,) = lights()
+        assert sky.towards((0, 0, 1)) == pytest.approx(1, rel=1e-2)
+        assert sky.towards((0.8, 0, 0.6)) == 0
+        assert irradiance([sky], (0, 0, 1)) == pytest.approx((pi / 2,) * 3, rel=5e-3)
+
+    @pytest.mark.parametrize(
+        ("kind", "rotation"),
+        [(None, None), ("POINT", (0, 0, 0.8)), ("POINT", (0.5, -0.9, 2.1)),
+         ("TEXTURE", (0.5, -0.9, 2.1)), ("VECTOR", (0, 0, -2.5))],
+    )  # fmt: skip
+    def test_an_environment_lights_as_in_cycles(self, kind, rotation, render):
+        """Tilted ground under a coloured sky with a small sun in it, however it is turned."""
+        add_white_ground()
+        bpy.context.object.rotation_euler = Euler((0.6, -0.5, 0))
+        normal = np.array(bpy.context.object.rotation_euler.to_matrix().col[2])
+        row, column = np.indices((64, 128))
+        pixels = np.ones((64, 128, 4))
+        pixels[..., :3] = np.stack((row / 64, column / 128, np.ones_like(row)), axis=-1)
+        pixels[40:42, 30:32, :3] = (2000, 1000, 500)
+        render()  # makes the camera and a world, which is replaced
+        world = add_world(strength=0.5)
+        environment = add_environment(world, pixels)
+        if kind:
+            add_mapping(environment, kind, rotation)
+        found = lights()
+        assert {type(light) for light in found} == {Sun, Sky}
+        bpy.context.scene.cycles.samples = 1024
+        assert render() * pi == pytest.approx(irradiance(found, normal), rel=2e-2)
+
+    def test_a_grey_environment_is_one_band(self):
+        pixels = np.ones((8, 16, 4)) * np.linspace(0, 1, 16)[:, None]
+        add_environment(add_world(strength=2.0), pixels)
+        (sky,) = lights()
+        assert bands_of(sky) == 1
+        add_environment(add_world((1, 1, 1)), pixels * (1, 0.5, 1, 1))
+        assert bands_of(lights()[0]) == 3
+
+    def test_an_environment_that_is_not_just_turned_counts_as_its_mean(self):
+        pixels = np.zeros((64, 8, 4))
+        pixels[48:] = 1
+        environment, notes = add_environment(add_world(), pixels), []
+        mapping = add_mapping(environment, "POINT", (0, 0, 1))
+        mapping.inputs["Scale"].default_value = (1, 1, 2)
+        (sky,) = lights(notes)
+        assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
+        assert len(notes) == 1
+        assert "'world' counts as its mean colour" in notes[0]
+
+    def test_missing_image_is_refused(self):
+        world = add_world()
+        add_environment(world, np.ones((2, 2, 4))).image = None
+        with pytest.raises(LightError, match=r"'world'.*not loaded"):
+            lights()
+
+    def test_sky_texture_is_refused(self):
+        world = add_world()
+        tree = world.node_tree
+        sky = tree.nodes.new("ShaderNodeTexSky")
+        tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
+        with pytest.raises(LightError, match=r"'Sky Texture'.*; use a plain value or an image\.$"):
+            lights()
+
+    def test_a_node_that_is_no_background_is_refused(self):
+        tree = add_world().node_tree
+        shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
+        output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")
+        tree.links.new(shader.outputs[0], output.inputs["Surface"])
+        with pytest.raises(LightError, match=r"'Diffuse BSDF'.*; replace it\.$"):
+            lights()
+
+    def test_no_light_at_all(self):
+        with pytest.raises(LightError, match="no light"):
+            lights()
+        add_world((0, 0, 0))
+        with pytest.raises(LightError, match="no light"):
+            lights()

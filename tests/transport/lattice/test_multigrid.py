@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Coarser lattices: their kernels against the twin, what they leave alone, and what they save."""
+
+import numpy as np
+import pytest
+
+from lb_lighting.transport.hybrid import lattice_maker
+from lb_lighting.transport.lattice.convergence import settle
+from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
+from lb_lighting.transport.lattice.layout import WEIGHTS
+from lb_lighting.transport.lattice.multigrid import Level, shapes
+from tests.benchmarks.settling import ByStepsAlone, difference, medium, settled, started
+from tests.tracing import OPENCL, name
+
+on_opencl = pytest.mark.parametrize("device", OPENCL, ids=name)
+TOLERANCE, MANY = 1e-2, 20_000
+
+
+def level_on(make, shape, occluded, seed=0):
+    """A level of a patchy medium, lit and stepped once."""
+    rng = np.random.default_rng(seed)
+    depth = (rng.uniform(0, 3, shape) * (rng.random(shape) > 0.4)).astype(np.float32)
+    opaque = (rng.random(shape) > 0.9) * rng.uniform(0.3, 1, shape) if occluded else None
+    level = Level(make, depth, 0.97, 0.4, opaque, 0.6)
+    reflected = rng.random(shape) if occluded else None
+    level.lattice.start(Source(rng.random(shape), rng.random((3, *shape)), reflected))
+    level.lattice.advance(1)
+    return level
+
+
+def assert_close(got, expected, relative):
+    assert np.abs(got - expected).max() <= relative * np.abs(expected).max()
+
+
+@on_opencl
+@pytest.mark.parametrize("occluded", [False, True])
+@pytest.mark.parametrize("shape", [(13, 9, 17), (8, 16, 12), (33, 1, 20)], ids=str)
+def test_kernels_correct_as_their_twin_does(shape, occluded, device):
+    """On light that lies either way in memory, through two and three levels."""
+    kernel, twin = (level_on(how, shape, occluded) for how in (lattice_maker(device), NumpyLattice))
+    for between in (0, 1, 4):
+        for level in (kernel, twin):
+            level.lattice.advance(between)
+            level.correct()
+        assert_close(kernel.lattice.fluence(), twin.lattice.fluence(), 1e-5)
+        assert_close(kernel.lattice.flux(), twin.lattice.flux(), 1e-5)
+
+
+@pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
+def test_what_a_correction_added_can_be_taken_back(device):
+    level = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
+    level.lattice.advance(2)
+    plain = level.lattice.fluence()
+    level.correct()
+    corrected = level.lattice.fluence()
+    level.take_back()
+    again = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
+    again.lattice.advance(4)
+    assert difference(corrected, plain) > 0.1
+    assert_close(level.lattice.fluence(), again.lattice.fluence(), 1e-5)
+
+
+def test_what_is_handed_down_is_all_that_flowed():
+    """Power over the squared edge of twice the size, in a medium with an odd edge."""
+    fine = level_on(NumpyLattice, (7, 6, 5), False)
+    coarse = fine.coarser.lattice
+    coarse.start_as_coarser()
+    fine.lattice.hand_down(coarse, 0.5)
+    flowed = np.array(
+        [
+            np.roll(light, -step)
+            for light, step in zip(fine.lattice.light, fine.lattice.steps, strict=True)
+        ]
+    )
+    flowed = fine.lattice.cells.inside(flowed)
+    assert coarse.given.sum() * 4 == pytest.approx(0.5 * flowed.sum(), rel=1e-12)
+
+
+def test_even_light_is_taken_up_as_it_is():
+    fine = level_on(NumpyLattice, (7, 6, 9), False)
+    coarse = fine.coarser.lattice
+    coarse.start_as_coarser()
+    coarse.light[...] = WEIGHTS[:, None]
+    fine.lattice.light[...] = 0
+    fine.lattice.take_up(coarse, 2.0)
+    light = fine.lattice.cells.inside(fine.lattice.light)
+    assert light == pytest.approx(
+        np.broadcast_to(2 * WEIGHTS[:, None, None, None], light.shape), rel=1e-12
+    )
+
+
+def test_edges_are_halved_until_they_are_short():
+    assert shapes((33, 8, 5)) == [(17, 4, 3), (9, 2, 2), (5, 1, 1)]
+    assert shapes((8, 3, 2)) == []
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_media_settle_to_the_tolerance(seed):
+    """`python -m tests.benchmarks.settling` does it with 200."""
+    optics = medium(seed)
+    light, unsettled = settled(OPENCL[0], optics)
+    assert unsettled < 1e-5
+    level = started(Level, OPENCL[0], optics)
+    error, steps, _ = settle(level, TOLERANCE, MANY, lambda _error: None)
+    assert error <= TOLERANCE
+    assert steps < MANY
+    assert difference(level.lattice.fluence().astype(float), light) <= 2 * TOLERANCE
+
+
+def thick():
+    """A white cube, 64 mean free paths deep, lit from above."""
+    depth = np.full((32, 32, 32), 2.0)
+    power = np.exp(-np.arange(32)[::-1] * 2.0) * np.ones(depth.shape)
+    return depth, 1.0, 0.0, power
+
+
+def test_thick_white_media_take_a_fifth_of_the_steps():
+    steps = {}
+    for kind in (ByStepsAlone, Level):
+        level = started(kind, OPENCL[0], thick())
+        error, steps[kind], _ = settle(level, TOLERANCE, MANY, lambda _error: None)
+        assert error <= TOLERANCE
+    assert steps[Level] < steps[ByStepsAlone] / 5
+
+
+def test_corrections_that_make_it_worse_are_taken_back_and_given_up():
+    """Were the coarser lattice wrong, light would settle as soon as without it, nearly."""
+
+    class Wrong(Level):
+        def correct(self):
+            steps = super().correct()
+            self.lattice.take_up(self.coarser.lattice, 9.0)
+            return steps
+
+        def take_back(self):
+            self.lattice.take_up(self.coarser.lattice, -10.0)
+
+    light, _ = settled(OPENCL[0], thick())
+    level = started(Wrong, OPENCL[0], thick())
+    error, steps, corrections = settle(level, TOLERANCE, MANY, lambda _error: None)
+    assert corrections == 1
+    assert error <= TOLERANCE
+    assert difference(level.lattice.fluence().astype(float), light) <= 2 * TOLERANCE
+    alone = settle(started(ByStepsAlone, OPENCL[0], thick()), TOLERANCE, MANY, lambda _error: None)
+    assert steps < 1.2 * alone[1]
+
+
+def test_light_that_does_not_settle_says_how_far_it_is_off():
+    level = started(ByStepsAlone, OPENCL[0], thick())
+    error, steps, _ = settle(level, TOLERANCE, 40, lambda _error: None)
+    assert steps == 40
+    assert error > 0.1

@@ -1,0 +1,406 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Unscattered light against Beer and Lambert's law, the inverse square, a furnace, and photons."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lb_lighting.errors import Cancelled
+from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun, trace
+from lb_lighting.transport.device import devices
+from lb_lighting.transport.lights.lamps import Emission
+from lb_lighting.transport.uncollided.casting import cast
+from tests.tracing import OPENCL, Beam, assert_mean, name
+
+SHAPE, H = (7, 6, 5), 0.2  # voxels, m
+SUN = Sun((0.3, 0.2, -0.93), 2.0)
+
+on_every_device = pytest.mark.parametrize("device", devices(), ids=name)
+on_opencl = pytest.mark.parametrize("device", OPENCL, ids=name)
+
+
+def patchy(occluded=True, sigma_s=1.5, sigma_a=0.5):
+    """A third of the voxels void, the others 2 free paths thick at most; some opaque ones."""
+    rng = np.random.default_rng(4)
+    density = rng.uniform(0.05, 5, SHAPE) * (rng.random(SHAPE) > 1 / 3)
+    emission, options = rng.random(SHAPE), {}
+    if occluded:
+        occlusion = rng.random(SHAPE) * (rng.random(SHAPE) > 0.8)
+        options = {"occlusion": occlusion, "occlusion_albedo": rng.random((1, *SHAPE))}
+    return Medium(density, H, sigma_s, sigma_a, origin=(-1, 0, 2), emission=emission, **options)
+
+
+LIGHTS = {
+    "sun": SUN,
+    "sun along an axis": Sun((0, -1, 0), 1.0),
+    "sky": Sky(0.1),
+    "sky by direction": Sky(lambda towards: np.maximum(towards[..., 2], 0)),
+    "point inside": PointLight((-0.5, 0.33, 2.2), 3.0),
+    "soft point inside": PointLight((-0.5, 0.33, 2.2), 3.0, 0.3),
+    "point outside": PointLight((-5, 3, 2.2), 3.0),
+    "spot": SpotLight((-5, 3, 2.2), (1, -0.55, 0), 3.0, 0.25, 0.6),
+    "area": AreaLight((-0.5, 0.6, 3.7), (1, 0, 0), (0, -0.8, 0.2), 3.0),
+    "beam": Beam((-0.93, 0.01, 2.0), (0.2, 0.1, 1), diffuse=True),
+    "emission": Emission(patchy()),
+}
+every_light = pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
+
+
+@cache
+def light_of(kind, device, occluded=True):
+    return cast(patchy(occluded), LIGHTS[kind], 0, 2.0, device, per_edge=4)
+
+
+def parts(result):
+    """All arrays of a cast, by what they are."""
+    arrays = {what: getattr(result, what) for what in ("direct", "flux", "left", "reflected")}
+    arrays |= {what: getattr(result.collided, what) for what in ("power", "position", "direction")}
+    return {what: array for what, array in arrays.items() if array is not None}
+
+
+def accounted(result):
+    reflected = 0 if result.reflected is None else result.reflected.sum(dtype=float)
+    collided = result.collided.power.sum(dtype=float)
+    return collided + reflected + result.left.sum() + result.stopped
+
+
+def centers(medium):
+    return np.moveaxis(medium.domain.centers(), -1, 0)
+
+
+def samples(medium, per_edge):
+    """(nx, ny, nz, per_edge^3, 3) m, points spread evenly over each voxel."""
+    offsets = ((np.arange(per_edge) + 0.5) / per_edge - 0.5) * medium.voxel_size
+    grid = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1)
+    return medium.domain.centers()[..., None, :] + grid.reshape(-1, 3)
+
+
+@on_every_device
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("forward", [True, False])
+def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
+    depth = np.array([0.3, 0, 1e-5, 2.0, 0.7, 8.0, 0.01])  # of the voxels, in the sun's way
+    sigma, irradiance = 2.5, 3.0
+    density = (depth if forward else depth[::-1]) / (sigma * H)
+    shape = [1, 1, 1]
+    shape[axis] = len(depth)
+    medium = Medium(density.reshape(shape) * np.ones([n + 2 * (n == 1) for n in shape]), H, 1, 0)
+    direction = np.eye(3)[axis] * (1 if forward else -1)
+    result = cast(medium, Sun(direction, irradiance), 0, sigma, device)
+
+    def along(values):
+        """(7,) of the middle row, in the sun's way; all rows are alike."""
+        rows = np.moveaxis(values, axis, -1).reshape(9, -1)
+        assert np.allclose(rows, rows[4], rtol=2e-6, atol=1e-9 * abs(rows).max())
+        return rows[4] if forward else rows[4][::-1]
+
+    entering = irradiance * np.exp(-np.concatenate([[0], np.cumsum(depth)[:-1]]))
+    share = -np.expm1(-depth)
+    mean = np.divide(share, depth, out=np.ones(7), where=depth > 0)
+    thick = np.maximum(depth, 1e-3)
+    place = np.where(depth > 1e-3, 1 / thick - 1 / np.expm1(thick), 0.5 - depth / 12) - 0.5
+    power = entering * share * H**2
+    unit = 1e-9  # of a tally, in the strongest light
+    light = entering * mean
+    assert along(result.direct) == pytest.approx(light, rel=1e-5, abs=unit * light.max())
+    assert along(result.collided.power) == pytest.approx(power, rel=1e-5, abs=unit * power.max())
+    position = along(result.collided.position[axis]) * (1 if forward else -1)
+    assert position == pytest.approx(power * place * H, rel=1e-5, abs=1e-7 * power.max() * H)
+    assert result.collided.direction[axis] == pytest.approx(
+        direction[axis] * result.collided.power, rel=1e-6
+    )
+    assert result.flux[axis] == pytest.approx(direction[axis] * result.direct, rel=1e-6)
+    far_side, area = 2 * axis + forward, 9 * H**2
+    assert result.left[far_side] == pytest.approx(
+        area * irradiance * np.exp(-depth.sum()), rel=1e-5, abs=unit * area * irradiance
+    )
+    assert np.delete(result.left, far_side) == pytest.approx(0)
+
+
+@on_every_device
+@pytest.mark.parametrize("direction", [(0.3, 0.2, -0.93), (1, 1, 1), (-1, 2, 0), (1, 0.3, -0.15)])
+def test_an_oblique_sun_fades_by_its_way_through_the_box(direction, device):
+    medium, sigma = Medium(np.ones((6, 5, 4)), H, 1, 0), 3.0
+    result = cast(medium, Sun(direction, 1.0), 0, sigma, device)
+    toward = np.divide(direction, np.linalg.norm(direction))
+    points, upper = samples(medium, 20), np.array(medium.domain.upper)
+    with np.errstate(divide="ignore"):
+        ways = np.where(toward > 0, points, upper - points) / abs(toward)
+    expected = np.exp(-sigma * ways.min(axis=-1)).mean(axis=-1)
+    assert np.abs(result.direct / expected - 1).max() < 5e-3
+    assert result.collided.power == pytest.approx(sigma * H**3 * result.direct, rel=1e-6)
+
+
+@on_opencl
+@pytest.mark.parametrize("sigma", [0.0, 2.0])
+@pytest.mark.parametrize("position", [(1.03, 0.97, 1.11), (-0.3, 0.5, 2.9)], ids=["in", "out"])
+def test_a_point_light_falls_off_by_the_square_and_by_absorption(position, sigma, device):
+    medium = Medium(np.ones((16, 16, 16)), 0.125, 1, 0)
+    result = cast(medium, PointLight(position, 2.0), 0, sigma, device)
+    way = samples(medium, 8) - position
+    squared = (way**2).sum(axis=-1)
+    to_border = np.zeros_like(squared)  # outside is vacuum
+    if not np.all(np.array(position) > 0):
+        with np.errstate(divide="ignore"):
+            faces = (np.where(way > 0, 0, 2.0) - position) / way
+        to_border = np.clip(faces.max(axis=-1), 0, 1)
+    light = 2.0 * np.exp(-sigma * (1 - to_border) * np.sqrt(squared)) / (4 * np.pi * squared)
+    far = np.abs(medium.domain.centers() - position).max(axis=-1) > 2 * medium.voxel_size
+    error = (result.direct / light.mean(axis=-1) - 1)[far]
+    outwards = medium.domain.centers()[far] - position
+    outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
+    flux = (np.moveaxis(result.flux, 0, -1)[far] * outwards).sum(axis=-1)
+    assert flux == pytest.approx(result.direct[far], rel=5e-2)  # all of it flows outwards
+    assert np.sqrt((error**2).mean()) < 3e-3
+    assert np.abs(error).max() < 2.5e-2
+
+
+@on_opencl
+def test_a_soft_lamp_is_a_point_dimmed_close_by(device):
+    medium, position = Medium(np.ones((12, 12, 12)), 0.1, 1, 0), (0.62, 0.57, 0.61)
+    soft, point = (cast(medium, PointLight(position, 2.0, r), 0, 1.0, device) for r in (0.3, 0.0))
+    distance = np.linalg.norm(medium.domain.centers() - position, axis=-1)
+    share = 2 * (distance / 0.3) ** 2 * (1 - distance / np.hypot(distance, 0.3))
+    far = distance > 0.25  # where a voxel is about its centre
+    assert (soft.direct / point.direct)[far] == pytest.approx(share[far], rel=0.03)
+    for what in ("power", "position", "direction"):
+        dimmed = getattr(soft.collided, what) / (soft.direct / point.direct)
+        assert dimmed == pytest.approx(getattr(point.collided, what), rel=1e-4, abs=1e-9)
+
+
+@on_opencl
+def test_a_spot_is_the_point_light_within_its_cone(device):
+    medium, position = Medium(np.ones((16, 16, 16)), 0.125, 1, 0), (1.0, 1.0, 5.0)
+    spot = SpotLight(position, (0, 0, -1), 2.0, 0.5, 0.5)
+    lit, point = (
+        cast(medium, light, 0, 0.7, device) for light in (spot, PointLight(position, 2.0))
+    )
+    way = samples(medium, 4) - position
+    cosine = -way[..., 2] / np.linalg.norm(way, axis=-1)
+    edge = np.cos(0.25)
+    share = np.clip((cosine - edge) / (0.5 * (1 - edge)), 0, 1)
+    expected = (share**2 * (3 - 2 * share)).mean(axis=-1)
+    assert lit.direct / point.direct == pytest.approx(expected, abs=0.02)
+    assert np.linalg.norm(lit.direct - expected * point.direct) < 4e-3 * np.linalg.norm(lit.direct)
+
+
+def angle_filled(points, a, b):
+    """sr of the rectangle |x| < a, |y| < b, z = 0 as points (..., 3) see it."""
+    x, y, d = np.moveaxis(np.abs(points), -1, 0)
+
+    def corner(x, y):
+        return np.arctan2(x * y, d * np.sqrt(x**2 + y**2 + d**2))
+
+    return sum(corner(a + i * x, b + j * y) for i in (-1, 1) for j in (-1, 1))
+
+
+@on_opencl
+@pytest.mark.parametrize(
+    ("size", "height", "allowed"),
+    [(0.5, 3.0, 0.02), (3, 3.0, 0.02), (3, 2.3, 0.03), (1, 1.3, 0.12)],
+)
+def test_an_area_light_is_as_bright_as_the_angle_that_it_fills(size, height, allowed, device):
+    """Its radiance is 1, and it shines downwards. The last one is inside, where the voxels that it
+    lies in have most of the error (L2)."""
+    medium = Medium(np.ones((16, 16, 16)), 0.125, 1, 0)
+    center = (1.1, 0.9, height)
+    light = AreaLight(center, (size, 0, 0), (0, -size / 2, 0), np.pi * size**2 / 2)
+    found = cast(medium, light, 0, 0.0, device, per_edge=6)
+    points = samples(medium, 4) - center
+    seen = np.where(points[..., 2] < 0, angle_filled(points, size / 2, size / 4), 0)
+    expected = seen.mean(axis=-1)
+    assert np.linalg.norm(found.direct - expected) < allowed * np.linalg.norm(expected)
+    assert found.direct.sum() == pytest.approx(expected.sum(), rel=3e-2)
+    assert not found.direct[expected == 0].any()
+    assert np.all(found.flux[2] <= 0)
+
+
+@on_opencl
+def test_light_that_misses_the_domain_is_none(device):
+    medium = Medium(np.ones((4, 4, 4)), 0.1, 1, 0)
+    away = SpotLight((0.2, 0.2, 1), (0, 0, 1), 1.0, 0.5)
+    result = cast(medium, away, 0, 1.0, device)
+    assert result.entered == 0
+    assert not result.direct.any()
+
+
+@on_opencl
+def test_a_void_under_a_uniform_sky_is_as_bright_as_the_sky(device):
+    result = cast(Medium(np.zeros((12, 9, 14)), H, 1, 0), Sky(0.5), 0, 1.0, device)
+    assert np.abs(result.direct / (2 * np.pi) - 1).max() < 1e-2
+    assert np.abs(result.flux).max() < 1e-2 * 2 * np.pi  # as much flows either way
+    assert not result.collided.power.any()
+    surface = 2 * H**2 * (12 * 9 + 9 * 14 + 14 * 12)
+    assert result.entered == pytest.approx(0.5 * np.pi * surface, rel=1e-3)
+
+
+@on_every_device
+def test_a_medium_that_glows_like_the_sky_is_a_furnace(device):
+    """What voxels keep from the sky they add by their own light, whatever the density."""
+    density, sigma, radiance = patchy().density, 6.0, 0.25
+    glow = 4 * np.pi * radiance * sigma * density
+    medium = Medium(density, H, sigma, 0, emission=glow)
+    both = [cast(medium, light, 0, sigma, device) for light in (Sky(radiance), Emission(medium))]
+    direct = sum(result.direct for result in both)
+    assert np.abs(direct / (4 * np.pi * radiance) - 1).max() < 1e-2
+    collided = sum(result.collided.power for result in both)
+    assert collided == pytest.approx(glow * H**3, rel=1e-2)
+    # Light that is the same everywhere collides in the middle, and in all directions.
+    for moment, scale in (("position", H), ("direction", 1)):
+        moments = sum(getattr(result.collided, moment) for result in both)
+        assert np.abs(moments).max() < 1e-2 * scale * collided.max()
+
+
+@on_opencl
+@pytest.mark.parametrize("lit", ["sun", "sky", "point inside", "spot", "area", "emission"])
+def test_photons_collide_first_where_rays_do(lit, device):
+    """Of 16 traces, in the voxels that 20 photons of each or more reach; a false alarm comes once
+    in 10 000 seeds, see `assert_near`. The rays' own error is taken for 1 % of a voxel's light.
+    """
+    medium, photons = patchy(occluded=False), 8192
+    light, dark = LIGHTS[lit], Medium(medium.density, H, 1.5, 0.5, origin=medium.origin)
+    lights, traced = ([], medium) if lit == "emission" else ([light], dark)
+    result = cast(medium, light, 0, 2.0, device, per_edge=12)
+    options = {"device": device, "handover": 1}
+    fields = [trace(traced, lights, photons, seed=s, **options) for s in range(16)]
+    least = 20 * result.entered / photons  # W
+    power = medium.albedo[0] * result.collided.power
+    for kind, scale in (("power", 1), ("position", H / 2), ("direction", 1)):
+        found = np.array([getattr(field.handed, kind)[0] for field in fields])
+        expected = medium.albedo[0] * getattr(result.collided, kind)
+        bright = power > least
+        # In shares of the largest that a moment of that power could be, shifted away from 0.
+        size = scale * power[bright]
+        shift = 2.0
+        assert_mean(
+            found[..., bright] / size + shift, expected[..., bright] / size + shift, rounding=5e-3
+        )
+    bright = result.direct > least / H**2
+    assert_mean([field.direct[0][bright] for field in fields], result.direct[bright], rounding=1e-2)
+
+
+@on_every_device
+@pytest.mark.parametrize("lit", LIGHTS)
+@pytest.mark.parametrize("occluded", [True, False])
+def test_no_light_is_lost_or_made(lit, occluded, device):
+    result = light_of(lit, device, occluded)
+    assert result.entered > 0
+    assert accounted(result) == pytest.approx(result.entered, rel=1e-5)
+    assert result.direct.min() >= 0
+    assert result.collided.power.min() >= 0
+
+
+@on_opencl
+@pytest.mark.parametrize("lit", LIGHTS)
+@pytest.mark.parametrize("occluded", [True, False])
+def test_devices_do_as_the_twin(lit, occluded, device):
+    found = parts(light_of(lit, device, occluded))
+    for what, twin in parts(light_of(lit, devices()[-1], occluded)).items():
+        assert np.abs(found[what] - twin).max() <= 1e-5 * np.abs(twin).max(), what
+
+
+@on_opencl
+@pytest.mark.parametrize("lit", ["sun", "sky", "emission"])
+def test_the_same_problem_gives_the_same_bits(lit, device):
+    again = parts(cast(patchy(), LIGHTS[lit], 0, 2.0, device, per_edge=4))
+    for what, before in parts(light_of(lit, device)).items():
+        assert np.array_equal(again[what], before), what
+
+
+@on_every_device
+def test_opaque_voxels_stop_what_arrives_and_send_back_their_share(device):
+    occlusion, albedo = np.zeros((3, 3, 4)), np.zeros((1, 3, 3, 4))
+    occlusion[..., 0], albedo[..., 0] = 0.5, 0.4  # met from outside
+    occlusion[..., 2], albedo[..., 2] = 1.0, 0.75
+    medium = Medium(np.zeros((3, 3, 4)), H, 1, 0, occlusion=occlusion, occlusion_albedo=albedo)
+    result = cast(medium, Sun((0, 0, 1), 2.0), 0, 1.0, device)
+    assert result.direct == pytest.approx(np.tile([1.0, 1.0, 0, 0], (3, 3, 1)), abs=1e-6)
+    back = 0.75 * H**2
+    assert result.reflected == pytest.approx(np.tile([0, back, 0, 0], (3, 3, 1)), rel=1e-6)
+    area = 9 * H**2
+    assert result.left == pytest.approx(np.array([0, 0, 0, 0, 0.4 * area, 0]), rel=1e-6)
+    assert result.stopped == pytest.approx(area * (0.6 + 0.25), rel=1e-6)
+
+
+@on_every_device
+def test_light_leaves_an_opaque_voxel_unhindered(device):
+    occlusion = np.zeros((5, 5, 5))
+    occlusion[2, 2, 2] = 1
+    medium = Medium(np.zeros((5, 5, 5)), H, 1, 0, occlusion=occlusion, occlusion_albedo=0.5)
+    result = cast(medium, PointLight((0.5, 0.51, 0.49), 3.0), 0, 1.0, device, per_edge=4)
+    assert result.left.sum() == pytest.approx(3.0, rel=1e-5)
+    assert result.stopped == 0
+    assert not result.reflected.any()
+
+
+@on_every_device
+@pytest.mark.parametrize("irradiance", [1e-20, 1e20])
+@pytest.mark.parametrize(
+    "depths", [[1e-30], [1e-6], [1e4], [1e8], [0, 1e-45, 1e-30, 1e-6, 1e4, 1e8]]
+)
+@pytest.mark.parametrize("kind", ["sun", "emission"])
+def test_extremes_are_finite_and_conserve_energy(kind, depths, irradiance, device):
+    rng = np.random.default_rng(8)
+    depth = rng.choice(depths, SHAPE)
+    medium = Medium(depth, 1.0, 1.0, 0, emission=irradiance * rng.random(SHAPE))
+    light = Sun(SUN.direction, irradiance) if kind == "sun" else Emission(medium)
+    result = cast(medium, light, 0, 1.0, device, per_edge=3)
+    for what, values in parts(result).items():
+        assert np.all(np.isfinite(values)), what
+    assert result.direct.min() >= 0
+    assert result.collided.power.min() >= 0
+    assert accounted(result) == pytest.approx(result.entered, rel=1e-5)
+    # Also where next to nothing collides, or is left unscattered, the digits are there.
+    expected = medium.density.astype(float) * result.direct
+    tiny = 1e-37
+    assert result.collided.power == pytest.approx(expected, rel=1e-5, abs=tiny)
+    moments = np.abs(result.collided.position).max(axis=0)
+    assert np.all(moments <= (0.5 + 1e-6) * result.collided.power + tiny)
+
+
+@on_opencl
+@pytest.mark.parametrize("direction", [(1, 0.003, 0.001), (-1, 1, 1e-12), (-0.7, 0.02, -0.3)])
+def test_long_ways_keep_their_digits(direction, device):
+    rng = np.random.default_rng(2)
+    medium = Medium(rng.random((512, 4, 4)), 0.1, 0.1, 0)
+    sun = Sun(direction, 1.0)
+    found, twin = (cast(medium, sun, 0, 0.1, used, per_edge=2) for used in (device, "NumPy"))
+    assert found.left.sum() == pytest.approx(twin.left.sum(), rel=1e-5)
+    assert np.abs(found.direct - twin.direct).max() <= 1e-5 * twin.direct.max()
+    most = twin.collided.power.max()
+    for kind, scale in (("power", 1), ("position", 0.1 / 2), ("direction", 1)):
+        error = getattr(found.collided, kind) - getattr(twin.collided, kind)
+        assert np.abs(error).max() <= 1e-5 * most * scale, kind
+
+
+def test_a_cast_can_be_cancelled():
+    with pytest.raises(Cancelled):
+        cast(patchy(), SUN, 0, 1.0, per_edge=2, cancel=lambda: True)
+
+
+class Followed:
+    """A sun whose rays are followed one by one, from where its photons start."""
+
+    def __init__(self, sun):
+        self.spectrum, self.emit = sun.spectrum, sun.emit
+
+
+@pytest.mark.parametrize("occluded", [False, True])
+@pytest.mark.parametrize(
+    "direction",
+    [(0, 0, 1), (0, -1, 0), (1, 1, 1), (0.3, 0.2, -0.93), (-0.7, 0.7, 0.1), (-0.2, -0.9, 0.5)],
+)
+def test_swept_light_is_that_of_rays_followed_one_by_one(direction, occluded):
+    medium, sun = patchy(occluded), Sun(direction, 2.0)
+    swept = parts(cast(medium, sun, 0, 2.0, "NumPy", 30))
+    followed = parts(cast(medium, Followed(sun), 0, 2.0, "NumPy", 24))
+    assert swept.keys() == followed.keys()
+    for what in followed.keys() - {"left"}:
+        # Few rays come to what few voxels reflect, and places depend on where each is.
+        allowed = 8e-3 if what in ("reflected", "position") else 2e-3
+        difference = np.linalg.norm(swept[what] - followed[what])
+        assert difference <= allowed * np.linalg.norm(followed[what]), what
+    assert swept["left"] == pytest.approx(followed["left"], abs=2e-3 * followed["left"].sum())
+    few = cast(medium, sun, 0, 2.0, "NumPy", 3)
+    assert accounted(few) == pytest.approx(few.entered, rel=1e-6)
