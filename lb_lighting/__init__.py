@@ -7,7 +7,16 @@
 
 def _modules():
     from . import cli
-    from .ui import handlers, operators, panels, preferences, presets, preview, properties, running
+    from .ui import (
+        handlers,
+        operators,
+        panels,
+        preferences,
+        presets,
+        preview,
+        properties,
+        running,
+    )
 
     return (properties, preferences, running, handlers, operators, presets, panels, preview, cli)
 

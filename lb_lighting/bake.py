@@ -19,7 +19,13 @@ from .clearing import clear, release
 from .errors import OutputError, SceneError, SettingsError
 from .job import Job, wait
 from .options import Options
-from .output import attribute, modifier, shading_surfaces, shading_volumes, volume
+from .output import (
+    attribute,
+    modifier,
+    shading_surfaces,
+    shading_volumes,
+    volume,
+)
 from .output.ambient import STAND_OFF
 from .scene.frames import at_frame
 from .scene.grids.resample import box_bounds
@@ -29,9 +35,14 @@ from .scene.opening import open_sources
 from .scene.reader import Reader
 from .scene.surroundings import tell_surroundings
 from .tasks.estimate import Estimate
-from .tasks.light import FIELD, Decided, Light, Lit
+from .tasks.light import (
+    FIELD,
+    Decided,
+    Light,
+    Lit,
+)
 from .ties import mend
-from .transport.lights.lamps import Sky
+from .transport.lights.distant import Sky
 from .transport.medium import Optics
 
 __all__ = [

@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 import bpy
 
 from .errors import OutputError
-from .output import attribute, modifier, shading_surfaces, shading_volumes, volume
+from .output import (
+    attribute,
+    modifier,
+    shading_surfaces,
+    shading_volumes,
+    volume,
+)
 from .ties import mend
 
 

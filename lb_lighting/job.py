@@ -22,7 +22,15 @@ from . import errors, exchange
 from .tasks.devices import Devices
 from .transport.caches import NO_CACHE
 from .transport.device import WITHOUT_OPENCL
-from .worker import GO, LOADED, LOADING, LONGEST_LOAD, RESULT, TASK, remove_scraps
+from .worker import (
+    GO,
+    LOADED,
+    LOADING,
+    LONGEST_LOAD,
+    RESULT,
+    TASK,
+    remove_scraps,
+)
 
 PATIENCE = 600.0  # s of silence and idleness, after which the worker is taken to hang
 _IDLE = 0.1  # s of processors' time in which it does nothing that counts

@@ -9,7 +9,12 @@ import bpy
 
 from .errors import OutputError
 from .output.vdb import link_or_copy
-from .output.volume import Frames, stored_path, unsaved_folder, volume_path
+from .output.volume import (
+    Frames,
+    stored_path,
+    unsaved_folder,
+    volume_path,
+)
 
 EXTENSION_FOLDER = "baked"  # in the extension's own: where earlier versions kept unsaved light
 

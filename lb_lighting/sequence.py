@@ -9,14 +9,28 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from .bake import Baking, find_objects, folder_of, gather, overridden, sources_of, why_wait
+from .bake import (
+    Baking,
+    find_objects,
+    folder_of,
+    gather,
+    overridden,
+    sources_of,
+    why_wait,
+)
 from .errors import EmptyError, OutputError, SceneError
 from .ours import is_overridden
 from .output import shading_volumes, volume
 from .output.keys import are_keyed
 from .output.look import Look
 from .output.vdb import link_or_copy, read_whole, write_empty
-from .tasks.light import ESSENCE, LIGHTS, LOOK, SOURCES, Decided
+from .tasks.light import (
+    ESSENCE,
+    LIGHTS,
+    LOOK,
+    SOURCES,
+    Decided,
+)
 
 EMPTY = "empty"  # in a file's metadata: why there is nothing to light
 # Why a frame that is there is baked again, by the first of its essences that differs.

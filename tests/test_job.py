@@ -57,7 +57,7 @@ def test_an_extensions_classes_are_read_under_their_plain_names(tmp_path, monkey
     """As an extension, the package is part of another; the worker knows it alone."""
     monkeypatch.setattr(Sun, "__module__", "bl_ext.user_default.lb_lighting." + Sun.__module__)
     monkeypatch.setitem(
-        sys.modules, Sun.__module__, sys.modules["lb_lighting.transport.lights.lamps"]
+        sys.modules, Sun.__module__, sys.modules["lb_lighting.transport.lights.distant"]
     )
     exchange.save(tmp_path / "sun", SUN)
     assert b"bl_ext" in (tmp_path / "sun").read_bytes()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.lights.lamps import by_band
+from lb_lighting.transport.lights.base import by_band
 from tests.statistics import normal, sidak
 
 FALSE_ALARM = 1e-4

@@ -8,7 +8,12 @@ import numpy as np
 
 from ..errors import OutputError
 from ..scene.meshes import vertices
-from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE, Vertices
+from .ambient import (
+    AMBIENT_ATTRIBUTE,
+    BACK_ATTRIBUTE,
+    WHOLE_ATTRIBUTE,
+    Vertices,
+)
 
 
 def read_vertices(ob, depsgraph, is_body=False, is_wall=False):

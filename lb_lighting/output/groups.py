@@ -5,9 +5,29 @@
 import bpy
 
 from ..ours import TAG, find_ours
-from .ambient import AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE, WHOLE_ATTRIBUTE, ambient_axis
-from .nodes import add_attribute, add_input, add_math, add_mix, add_node, add_output, add_vector
-from .vdb import AXES, DENSITY_GRID, EMISSION_GRID, LIGHT_GRID, flux_grid, moment_grid
+from .ambient import (
+    AMBIENT_ATTRIBUTE,
+    BACK_ATTRIBUTE,
+    WHOLE_ATTRIBUTE,
+    ambient_axis,
+)
+from .nodes import (
+    add_attribute,
+    add_input,
+    add_math,
+    add_mix,
+    add_node,
+    add_output,
+    add_vector,
+)
+from .vdb import (
+    AXES,
+    DENSITY_GRID,
+    EMISSION_GRID,
+    LIGHT_GRID,
+    flux_grid,
+    moment_grid,
+)
 
 VOLUME_GROUP = "LB Volume Light"
 BEAM_GROUP = "LB Beam"

@@ -8,7 +8,7 @@ import json
 import math
 from dataclasses import asdict, dataclass
 
-from ..transport.lights.lamps import Sun
+from ..transport.lights.distant import Sun
 from .vdb import AXES
 
 

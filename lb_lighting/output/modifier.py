@@ -23,7 +23,13 @@ from .ambient import (
     ambient_axis,
 )
 from .groups import ANY, our_group
-from .nodes import add_input, add_math, add_node, add_output, add_vector
+from .nodes import (
+    add_input,
+    add_math,
+    add_node,
+    add_output,
+    add_vector,
+)
 from .vdb import AXES
 
 GRID_GROUP = "LB Ambient Grid"

@@ -12,7 +12,13 @@ materials: the group itself may be linked, and other materials may use it, too.
 import bpy
 
 from ..errors import OutputError
-from ..ours import TAG, find_ours, give_back, is_ours, override
+from ..ours import (
+    TAG,
+    find_ours,
+    give_back,
+    is_ours,
+    override,
+)
 from . import attribute, modifier
 from .closures import (
     closure_links,
@@ -22,7 +28,12 @@ from .closures import (
     surface_closures,
     surface_sockets,
 )
-from .groups import AMBIENT_GROUP, REST_GROUP, ambient_group, rest_group
+from .groups import (
+    AMBIENT_GROUP,
+    REST_GROUP,
+    ambient_group,
+    rest_group,
+)
 from .nodes import new_material
 
 # What each diffuse closure gives to the inputs of `LB Ambient`.

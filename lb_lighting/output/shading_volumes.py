@@ -13,7 +13,13 @@ Surfaces are the affair of `shading_surfaces`.
 
 import bpy
 
-from ..ours import TAG, give_back, is_ours, is_overridden, override
+from ..ours import (
+    TAG,
+    give_back,
+    is_ours,
+    is_overridden,
+    override,
+)
 from .closures import is_clear
 from .groups import (
     BEAM_GROUP,

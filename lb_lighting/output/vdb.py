@@ -14,7 +14,8 @@ import openvdb
 
 from ..errors import OutputError
 from ..transport.box import Box
-from ..transport.lights.lamps import BEAMS, Sun
+from ..transport.lights.distant import Sun
+from ..transport.lights.lamps import BEAMS
 from ..transport.ordinates.quadrature import FACTORS
 from ..transport.ordinates.source_iteration import beside_beams, of_lobes, way_of
 

@@ -12,7 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from .voxelize import FARTHEST, Faces, closed_triangles, is_finite
+from .voxelize import (
+    FARTHEST,
+    Faces,
+    closed_triangles,
+    is_finite,
+)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import EmptyError
-from ..transport.lights.lamps import Sun
+from ..transport.lights.distant import Sun
 from ..transport.medium import Optics
 from .materials import grey
 

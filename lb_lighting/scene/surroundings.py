@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..ours import is_ours
-from ..transport.lights.lamps import AreaLight, PointLight, SpotLight, Sun
+from ..transport.lights.distant import Sun
+from ..transport.lights.lamps import AreaLight, PointLight, SpotLight
 from .lights.light_nodes import or_else
 from .lights.receivers import placed_boxes
 from .materials import has_volume, volume_shines

@@ -14,12 +14,23 @@ from ..errors import LightingError, SceneError
 from ..options import Options
 from ..output.ambient import ambient_grids
 from ..output.look import Look
-from ..output.vdb import EMISSION_GRID, leftovers, new_token, volume_light, write_vdb
+from ..output.vdb import (
+    EMISSION_GRID,
+    leftovers,
+    new_token,
+    volume_light,
+    write_vdb,
+)
 from ..scene.mixture import mixture, occluders, with_shadows
 from ..transport.device import troubles
 from ..transport.field import Report
-from ..transport.lights.lamps import bands_of
-from ..transport.medium import Domain, Medium, Optics, paper_units
+from ..transport.lights.base import bands_of
+from ..transport.medium import (
+    Domain,
+    Medium,
+    Optics,
+    paper_units,
+)
 from ..transport.ordinates import source_iteration
 from ..transport.planning.planner import BUDGETS, Plan, plan
 from ..transport.solver import Settings, require_memory, solve

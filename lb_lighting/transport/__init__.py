@@ -10,15 +10,32 @@ from ..errors import (
     SettingsError,
     SolverError,
 )
-from .field import Field, Handed, PhotonReport, Report
-from .lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun
-from .medium import PRESETS, Domain, Medium, Optics, paper_units
+from .field import (
+    Field,
+    Handed,
+    PhotonReport,
+    Report,
+)
+from .lights.distant import Sky, Sun
+from .lights.lamps import AreaLight, PointLight, SpotLight
+from .medium import (
+    PRESETS,
+    Domain,
+    Medium,
+    Optics,
+    paper_units,
+)
 from .photons.free_path import SAMPLERS, FreePathSampler, sample_free_paths
 from .photons.perlin import PerlinMedium
 from .photons.trace import trace
 from .planning.planner import Plan, plan
 from .preview.pictures import Picture, View, pictures
-from .preview.survey import Statistics, advice, histogram_picture, statistics
+from .preview.survey import (
+    Statistics,
+    advice,
+    histogram_picture,
+    statistics,
+)
 from .solver import Settings, solve
 
 __all__ = [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which bands are solved, for which lights, and which of them at once."""
 
-from .lights.lamps import multiple, same
+from .lights.base import multiple, same
 
 
 def distinct(medium, lights):

@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The box of a domain that holds all its matter, and light that has left it.
-
-Outside of the box light only streams on, and what has left it along a direction of the lattice
-never comes back. So the lattice need not reach further, and its light is carried on once, at last.
-"""
+"""The box of a domain that holds all its matter: the lattice reaches no further."""
 
 from dataclasses import dataclass
 
 import numpy as np
-
-from .lattice.layout import LENGTHS, MOVING
 
 # Voxels around matter that still tell of it: in the next ones light meets what is opaque, or comes
 # back where a medium ends; in those behind them lies what `borders.mirrors` takes the mean of.
@@ -66,81 +60,3 @@ def _ends(grids, axis, n):
     if not len(filled):
         return None
     return max(0, int(filled[0]) - _MARGIN), min(n, int(filled[-1]) + 1 + _MARGIN)
-
-
-def stream_on(lattice, box, scale, fluence, flux):
-    """Carry the light that leaves the lattice of a box on through the domain.
-
-    It is added, scale times, to fluence (nx, ny, nz) and flux (3, nx, ny, nz), which are the
-    domain's. Returns (6,): what leaves that through the faces -x, +x, -y, +y, -z, +z, as
-    `NumpyLattice.lost` counts it.
-    """
-    left = np.zeros(6)
-    for leaving, c, length in zip(lattice.leaving(), MOVING, LENGTHS, strict=True):
-        axes = np.flatnonzero(c)
-        light = _Leaving(leaving, box, c, axes)
-        light.add_to(fluence, scale * length)
-        for axis in axes:
-            light.add_to(flux[axis], scale * c[axis])
-        left[2 * axes + (c[axes] > 0)] += light.left()
-    return left
-
-
-class _Leaving:
-    """Light that leaves a box along a direction, which leads upwards as seen here.
-
-    Of grids the axes that it moves along come first. It leaves through the last plane of the first
-    of these, and along a diagonal through the last row of the others, too: these rows, one behind
-    the other, are the light that crosses any plane further on, one row further each time.
-
-    light  (rows, ...), or without a diagonal (...)
-    """
-
-    def __init__(self, leaving, box, c, axes):
-        self.c, self.axes, self.diagonal = c, axes, len(axes) > 1
-        ends = [
-            (n - b, n - a, n) if step < 0 else (a, b, n)
-            for a, b, n, step in zip(box.lower, box.upper, box.whole, c, strict=True)
-        ]
-        # Of the box the first, and the one behind it; of the domain how many.
-        self.begin, self.end, self.planes = ends[axes[0]]
-        self.row, self.row_end, self.rows = ends[axes[-1]]
-        self.beside = tuple(
-            slice(None) if step else slice(a, b)
-            for a, b, step in zip(box.lower, box.upper, c, strict=True)
-        )
-        leaving = self._turned(leaving)
-        self.light = leaving[-1]
-        if self.diagonal:
-            self.light = np.concatenate([self.light, leaving[-2::-1, -1]])
-
-    def _turned(self, grid):
-        flipped = np.flip(grid, np.flatnonzero(self.c < 0))
-        return np.moveaxis(flipped, self.axes, range(len(self.axes)))
-
-    def add_to(self, grid, factor):
-        """Add it, times a factor, to a grid (nx, ny, nz) wherever it comes by."""
-        grid, light = self._turned(grid[self.beside]), self.light * factor
-        if not self.diagonal:
-            grid[self.end :] += light
-            return
-        for plane in range(self.begin + 1, self.planes):
-            row = self._first_row(plane)
-            # Beside the box: only what has left it in planes before.
-            first = max(self.row_end - row, 0) if plane < self.end else 0
-            last = min(len(light), self.rows - row)
-            if first < last:
-                grid[plane, row + first : row + last] += light[first:last]
-
-    def left(self):
-        """What leaves the domain, by axis."""
-        light = self.light.reshape(len(self.light), -1).sum(axis=1, dtype=float)
-        if not self.diagonal:
-            return light.sum()
-        # Rows that are still there in the last plane leave through it, also in the corner.
-        there = max(self.rows - self._first_row(self.planes - 1), 0)
-        return light[:there].sum(), light[there:].sum()
-
-    def _first_row(self, plane):
-        """Where the first of the light's rows has come to in a plane."""
-        return self.row + plane - self.end + 1

@@ -15,13 +15,17 @@ import numpy as np
 from ..errors import Cancelled, DeviceError, LightError
 from . import device as devices
 from .bands import runs_of, together
-from .box import matter, stream_on
+from .box import matter
 from .field import Field, Report
 from .lattice.convergence import settle
 from .lattice.lattice_numpy import NumpyLattice, Source
 from .lattice.multigrid import Level
+from .lattice.streaming import stream_on
 from .lattice.subdivision import divided, merged, wished_pieces
-from .lights.lamps import BEAMS, Emission, Sky, by_band, darkness
+from .lights.base import by_band, darkness
+from .lights.distant import Sky
+from .lights.emission import Emission
+from .lights.lamps import BEAMS
 from .lights.sampling import face_areas
 from .photons.trace import trace
 from .resample import coarse, put_together

@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import PRESETS, Medium, Sun, device
-from lb_lighting.transport.lattice.d3q19 import collision_matrix
+from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.model import boundary_inflow
 from lb_lighting.transport.paper.paper_numpy import PaperReference
 from lb_lighting.transport.paper.paper_opencl import PaperLattice

@@ -15,7 +15,8 @@ from unittest.mock import patch
 import numpy as np
 
 from lb_lighting.transport import Settings, device, solve, trace
-from lb_lighting.transport.lights import lamps
+from lb_lighting.transport.lights import distant, lamps
+from lb_lighting.transport.lights.sampling import strata
 from tests.benchmarks.columns import all_light
 from tests.benchmarks.media import main_cases
 from tests.benchmarks.table import publish
@@ -82,7 +83,8 @@ def trace_rows(case):
 def traced(case, way, photons, seed):
     """(relative noise of the scattered light in L2, seconds of the processor) of a trace."""
     last = 1 + round(HANDOVER / (1 - float(case.medium.albedo[0] * case.medium.g[0])))
-    with patch.object(lamps, "strata", lamps.strata if way.even else at_random):
+    draw = strata if way.even else at_random
+    with patch.object(lamps, "strata", draw), patch.object(distant, "strata", draw):
         start = process_time()
         result = trace(case.medium, case.lights, photons, seed=seed, handover=last, **way.arguments)
         seconds = process_time() - start

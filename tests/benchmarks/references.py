@@ -20,7 +20,8 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import device, trace
-from lb_lighting.transport.lights.lamps import Emission, Sky
+from lb_lighting.transport.lights.distant import Sky
+from lb_lighting.transport.lights.emission import Emission
 from lb_lighting.transport.planning import visibility
 from lb_lighting.transport.uncollided import casting
 from tests.benchmarks.media import (

@@ -29,12 +29,12 @@ from lb_lighting.transport import Settings, Sky, Sun, device, solve
 from lb_lighting.transport.box import Box
 from lb_lighting.transport.hybrid import lattice_maker
 from lb_lighting.transport.lattice.convergence import _Look
-from lb_lighting.transport.lattice.d3q19 import collision_matrix
 from lb_lighting.transport.lattice.lattice_numpy import Source
 from lb_lighting.transport.lattice.lattice_opencl import OpenCLLattice, _state_size, _stride
 from lb_lighting.transport.lattice.layout import GROUP, Cells
 from lb_lighting.transport.lattice.multigrid import Level
 from lb_lighting.transport.lights.sampling import rank_1
+from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.model import boundary_inflow
 from lb_lighting.transport.paper.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS

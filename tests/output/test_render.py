@@ -19,7 +19,8 @@ from lb_lighting.output.vdb import (
 )
 from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
 from lb_lighting.transport.field import Field, Report
-from lb_lighting.transport.lights.lamps import PointLight, SpotLight, Sun
+from lb_lighting.transport.lights.distant import Sun
+from lb_lighting.transport.lights.lamps import PointLight, SpotLight
 from lb_lighting.transport.medium import Domain
 from lb_lighting.transport.ordinates.quadrature import polynomials
 from tests.output.rendering import centroid, dark_scene, middle, plane, render, surface

@@ -31,7 +31,8 @@ from lb_lighting.output.volume import (
     sources_of,
 )
 from lb_lighting.transport.field import Field, Report, Scattered
-from lb_lighting.transport.lights.lamps import PointLight, Sky, Sun
+from lb_lighting.transport.lights.distant import Sky, Sun
+from lb_lighting.transport.lights.lamps import PointLight
 from lb_lighting.transport.medium import Domain, Medium
 from lb_lighting.transport.ordinates.quadrature import harmonics, polynomials
 from lb_lighting.transport.solver import solve

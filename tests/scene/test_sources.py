@@ -11,7 +11,7 @@ from lb_lighting.scene.opening import open_sources
 from lb_lighting.scene.reader import FROM_MATERIAL, Reader
 from lb_lighting.scene.sources import VolumeSource
 from lb_lighting.scene.surface_sources import SolidSource
-from lb_lighting.transport.lights.lamps import Sky, Sun
+from lb_lighting.transport.lights.distant import Sky, Sun
 from lb_lighting.transport.medium import PRESETS, Domain, Optics
 from tests import scenery
 

@@ -8,7 +8,8 @@ import pytest
 
 from lb_lighting.scene.lights.receivers import Receivers
 from lb_lighting.scene.surroundings import tell_surroundings
-from lb_lighting.transport.lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun
+from lb_lighting.transport.lights.distant import Sky, Sun
+from lb_lighting.transport.lights.lamps import AreaLight, PointLight, SpotLight
 from tests import scenery
 from tests.output.rendering import surface
 from tests.scenery import bake_light

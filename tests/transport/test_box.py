@@ -8,8 +8,9 @@ import pytest
 
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
 from lb_lighting.transport import box as crop
-from lb_lighting.transport.box import Box, stream_on
+from lb_lighting.transport.box import Box
 from lb_lighting.transport.lattice.layout import LENGTHS, MOVING
+from lb_lighting.transport.lattice.streaming import stream_on
 from lb_lighting.transport.uncollided.casting import cast
 from tests.tracing import OPENCL, name
 

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
-from lb_lighting.transport.lattice.d3q19 import collision_matrix
 from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import WEIGHTS
+from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.paper_numpy import PaperReference
 from tests.tracing import OPENCL, name
 

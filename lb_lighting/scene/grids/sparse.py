@@ -7,7 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import SceneError
-from .resample import BLOCK, Readable, block_sums, box_bounds, cubes, voxel_bounds
+from .resample import (
+    BLOCK,
+    Readable,
+    block_sums,
+    box_bounds,
+    cubes,
+    voxel_bounds,
+)
 
 NODE, ROOT = 128, 4096  # voxels along the edge of the nodes of OpenVDB's trees, above the leaves
 MANY = 1 << 22  # root nodes that are looked at one by one

@@ -5,13 +5,19 @@ import numpy as np
 from mathutils import Euler
 
 from ...errors import LightError
-from ...transport.lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun
+from ...transport.lights.distant import Sky, Sun
+from ...transport.lights.lamps import AreaLight, PointLight, SpotLight
 from ...transport.lights.panorama import panorama_lights
 from ..nodes.shaders import Shader, linear_pixels, resolve
 from ..remarks import Remarks
 from ..rendered import rendered_objects, world_matrix
 from .emitters import shining_lamps
-from .light_nodes import IN_VOLUMES, ON_SURFACES, LightShader, or_else
+from .light_nodes import (
+    IN_VOLUMES,
+    ON_SURFACES,
+    LightShader,
+    or_else,
+)
 from .receivers import SHADED
 
 _MANY_BOUNCES = 32  # of a lamp, from which on its light has faded before they are used up

@@ -6,8 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import SceneError
-from .links import Circle, Links, active_output, postorder, refuse_circle, resolve
-from .values import LUMINANCE, Scaled, Unread, as_number, value_of
+from .links import (
+    Circle,
+    Links,
+    active_output,
+    postorder,
+    refuse_circle,
+    resolve,
+)
+from .values import (
+    LUMINANCE,
+    Scaled,
+    Unread,
+    as_number,
+    value_of,
+)
 
 __all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "may_be_positive", "resolve"]
 

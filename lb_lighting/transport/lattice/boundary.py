@@ -3,7 +3,13 @@
 
 import numpy as np
 
-from .layout import MEAN_LENGTH, MOVING, THROUGH, WEIGHTS, parts
+from .layout import (
+    MEAN_LENGTH,
+    MOVING,
+    THROUGH,
+    WEIGHTS,
+    parts,
+)
 
 _EXTRAPOLATED = 2 / 3  # transport mean free paths outside where the fluence would be zero
 _OUTWARD = float(WEIGHTS[MOVING[:, 0] > 0].sum())

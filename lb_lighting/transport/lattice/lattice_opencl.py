@@ -6,10 +6,23 @@ from math import prod
 import numpy as np
 import pyopencl as cl
 
-from ..device import context, program, queue, upload, zeros
+from ..device import (
+    context,
+    program,
+    queue,
+    upload,
+    zeros,
+)
 from .boundary import REFLECTED, mirrors
 from .lattice_numpy import CROWDED
-from .layout import GROUP, MEAN_LENGTH, OPPOSITE, SECOND_MOMENT, WEIGHTS, Cells
+from .layout import (
+    GROUP,
+    MEAN_LENGTH,
+    OPPOSITE,
+    SECOND_MOMENT,
+    WEIGHTS,
+    Cells,
+)
 from .multigrid import shapes
 
 _SOURCES = ("lattice/layout.cl", "lattice/lattice.cl", "lattice/multigrid.cl")

@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from .lamps import Sky, Sun
+from .distant import Sky, Sun
 from .sampling import SKY_CELLS, cells_of
 
 _MOST_SUNS = 8  # each is a light of its own, and has a grid of its own where volumes show it

@@ -6,7 +6,12 @@ from math import pi
 
 import numpy as np
 
-from ..lights.sampling import GOLDEN, even_directions, frame_of, tilted
+from ..lights.sampling import (
+    GOLDEN,
+    even_directions,
+    frame_of,
+    tilted,
+)
 
 _EVEN, _AIMED = 32, 24  # directions from everywhere, and more along the way of each sun
 _AIM = 0.7  # mean cosine of those

@@ -21,12 +21,20 @@ from .. import device as devices
 from ..bands import distinct
 from ..box import Box
 from ..field import Scattered
-from ..lights.lamps import BEAMS, Emission, Sun
+from ..lights.distant import Sun
+from ..lights.emission import Emission
+from ..lights.lamps import BEAMS
 from ..lights.sampling import rank_1, shift_of
 from ..medium import merged
 from ..resample import between
 from ..uncollided.sweep import Beam, NumpyGlow, Turn
-from .quadrature import DEGREES, directions_for, harmonics, phase_function, third
+from .quadrature import (
+    DEGREES,
+    directions_for,
+    harmonics,
+    phase_function,
+    third,
+)
 
 TIMES = 4  # that light is gathered: more gain nothing, as moments are not all there is
 FORWARDS = 0.65  # mean cosine from which on it is worth it

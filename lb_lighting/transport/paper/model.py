@@ -7,9 +7,11 @@ import numpy as np
 
 from ...errors import Cancelled, LightError, MediumError
 from ..field import Field, Report
-from ..lattice.d3q19 import UNIT, WEIGHTS, collision_matrix
-from ..lights.lamps import Sky, Sun, by_band
+from ..lattice.d3q19 import UNIT, WEIGHTS
+from ..lights.base import by_band
+from ..lights.distant import Sky, Sun
 from ..medium import SMALLEST_EDGE
+from .collision import collision_matrix
 from .paper_numpy import PaperReference
 
 _REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free

@@ -22,7 +22,13 @@ from math import prod
 
 import numpy as np
 
-from ...errors import MediumError, SettingsError, SolverError, require_known, require_whole
+from ...errors import (
+    MediumError,
+    SettingsError,
+    SolverError,
+    require_known,
+    require_whole,
+)
 from .. import device as devices
 from . import majorants
 from .perlin import PerlinMedium

@@ -9,7 +9,12 @@ import numpy as np
 import pyopencl as cl
 
 from ..device import context, program, queue
-from .tallies import SUMS, UNIT, in_weights, kinds
+from .tallies import (
+    SUMS,
+    UNIT,
+    in_weights,
+    kinds,
+)
 
 GROUP = 64  # work-items; a multiple of every vector's width
 _GROUPS_A_UNIT = 16  # so that compute units that are done early find more

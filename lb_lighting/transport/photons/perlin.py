@@ -21,7 +21,12 @@ from math import floor, log2
 import numpy as np
 
 from ...errors import MediumError, require_whole
-from ..medium import LARGEST, Domain, Medium, optics_by_band
+from ..medium import (
+    LARGEST,
+    Domain,
+    Medium,
+    optics_by_band,
+)
 from .majorants import Bound
 from .random import mix_bits
 

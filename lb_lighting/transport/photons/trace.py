@@ -17,13 +17,30 @@ from math import prod
 
 import numpy as np
 
-from ...errors import Cancelled, MediumError, SettingsError, require_whole
+from ...errors import (
+    Cancelled,
+    MediumError,
+    SettingsError,
+    require_whole,
+)
 from .. import device as devices
-from ..field import Clock, Field, Handed, PhotonReport
-from ..lights.lamps import Emission, darkness, multiple
+from ..field import (
+    Clock,
+    Field,
+    Handed,
+    PhotonReport,
+)
+from ..lights.base import darkness, multiple
+from ..lights.emission import Emission
 from ..medium import Domain
 from . import tallies
-from .free_path import MOST_STEPS, engine, enter, path_grid, refuse_violations
+from .free_path import (
+    MOST_STEPS,
+    engine,
+    enter,
+    path_grid,
+    refuse_violations,
+)
 from .perlin import PerlinMedium
 
 # Of equal size; their spread gives the variance, from 32 to a quarter of itself. Fewer, where the

@@ -18,7 +18,7 @@ from ...errors import MediumError
 from .. import device as devices
 from ..box import matter
 from ..lattice.subdivision import wished_pieces
-from ..lights.lamps import FEW_VOXELS, Sky, Sun
+from ..lights.distant import FEW_VOXELS, Sky, Sun
 from ..resample import coarse
 from ..solver import solve
 from .visibility import mean_share, size, weights

@@ -17,10 +17,16 @@ from ...errors import DeviceError, require_known
 from .. import device as devices
 from ..box import matter
 from ..hybrid import is_within
-from ..lights.lamps import FEW_VOXELS
+from ..lights.distant import FEW_VOXELS
 from ..medium import deepest
 from ..solver import Settings, require_memory
-from .pilot import EVENER, MERGES, effort, fly, work_of_rays
+from .pilot import (
+    EVENER,
+    MERGES,
+    effort,
+    fly,
+    work_of_rays,
+)
 
 # The relative error (L2) that each quality is to keep to, of all light as it is seen (`seen`).
 TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}

@@ -16,9 +16,16 @@ from time import perf_counter
 
 import numpy as np
 
-from ...errors import LightError, MediumError, SettingsError, require_whole
+from ...errors import (
+    LightError,
+    MediumError,
+    SettingsError,
+    require_whole,
+)
 from .. import device as devices
-from ..lights.lamps import PointLight, Sky, Sun, by_band
+from ..lights.base import by_band
+from ..lights.distant import Sky, Sun
+from ..lights.lamps import PointLight
 from ..photons.free_path import enter, path_grid, refuse_violations
 from ..photons.perlin import PerlinMedium
 

@@ -3,7 +3,14 @@
 
 import numpy as np
 
-from ..photons.paths_numpy import COLLIDED, CROSSED, LEFT, STOPPED, VIRTUAL, Walk
+from ..photons.paths_numpy import (
+    COLLIDED,
+    CROSSED,
+    LEFT,
+    STOPPED,
+    VIRTUAL,
+    Walk,
+)
 
 
 class NumpyEye:

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from ...errors import require_whole
-from ..lights.lamps import Sky
+from ..lights.distant import Sky
 from ..medium import Domain
 from ..photons.free_path import SAMPLERS, FreePathSampler
 from ..photons.perlin import PerlinMedium

@@ -5,7 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..lights.lamps import FEW_VOXELS, Emission, Sky, by_band, multiple, same
+from ..lights.base import by_band, multiple, same
+from ..lights.distant import FEW_VOXELS, Sky
+from ..lights.emission import Emission
 from . import casting
 
 # Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;

@@ -15,10 +15,23 @@ import numpy as np
 from ...errors import Cancelled
 from .. import device as devices
 from ..box import Box
-from ..lights.lamps import Emission
+from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
-from .march import DIRECTION, POSITION, SCORE, TALLIES, NumpyMarch, enter
-from .sweep import STOPPED, Beam, NumpySweep, Turn, Voxels
+from .march import (
+    DIRECTION,
+    POSITION,
+    SCORE,
+    TALLIES,
+    NumpyMarch,
+    enter,
+)
+from .sweep import (
+    STOPPED,
+    Beam,
+    NumpySweep,
+    Turn,
+    Voxels,
+)
 
 _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
 _BEAMS_AT_ONCE = 8  # whose rays are in memory

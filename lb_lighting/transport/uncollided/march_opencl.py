@@ -4,7 +4,12 @@
 import numpy as np
 import pyopencl as cl
 
-from ..device import program, queue, upload, zeros
+from ..device import (
+    program,
+    queue,
+    upload,
+    zeros,
+)
 from .march import TALLIES
 from .sweep import STOPPED
 

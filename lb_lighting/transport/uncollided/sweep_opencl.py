@@ -7,7 +7,12 @@ import numpy as np
 import pyopencl as cl
 
 from ...errors import Cancelled
-from ..device import program, queue, upload, zeros
+from ..device import (
+    program,
+    queue,
+    upload,
+    zeros,
+)
 from .sweep import STOPPED, Tallies
 
 _CANCEL_EVERY = 16  # layers

@@ -8,7 +8,8 @@ import pytest
 from lb_lighting.errors import LightError
 from lb_lighting.scene.lights.lamps import scene_lights
 from lb_lighting.scene.lights.receivers import Receivers, members
-from lb_lighting.transport.lights.lamps import PointLight, Sky, Sun
+from lb_lighting.transport.lights.distant import Sky, Sun
+from lb_lighting.transport.lights.lamps import PointLight
 from tests import scenery
 from tests.scene.against import even_world, over_cycles
 

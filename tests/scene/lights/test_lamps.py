@@ -11,7 +11,9 @@ from mathutils import Euler
 from lb_lighting.errors import LightError
 from lb_lighting.scene.lights.lamps import scene_lights
 from lb_lighting.transport import Medium
-from lb_lighting.transport.lights.lamps import AreaLight, PointLight, Sky, SpotLight, Sun, bands_of
+from lb_lighting.transport.lights.base import bands_of
+from lb_lighting.transport.lights.distant import Sky, Sun
+from lb_lighting.transport.lights.lamps import AreaLight, PointLight, SpotLight
 from lb_lighting.transport.lights.sampling import even_directions
 
 

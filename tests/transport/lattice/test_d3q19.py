@@ -11,10 +11,9 @@ from lb_lighting.transport.lattice.d3q19 import (
     DIRECTIONS,
     UNIT,
     WEIGHTS,
-    collision_matrix,
-    diffusion_coefficient,
 )
 from lb_lighting.transport.medium import PRESETS
+from lb_lighting.transport.paper.collision import collision_matrix, diffusion_coefficient
 from lb_lighting.transport.paper.paper_numpy import step
 
 

@@ -16,7 +16,8 @@ import pytest
 
 from lb_lighting.errors import LightError
 from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun
-from lb_lighting.transport.lights.lamps import Emission, multiple
+from lb_lighting.transport.lights.base import multiple
+from lb_lighting.transport.lights.emission import Emission
 from lb_lighting.transport.lights.sampling import face_areas, rank_1
 
 FALSE_ALARMS = 10_000

@@ -6,7 +6,7 @@ import pytest
 
 from lb_lighting.errors import DeviceError
 from lb_lighting.transport import Medium, Settings, Sky, Sun, device, solve
-from lb_lighting.transport.lattice.d3q19 import collision_matrix
+from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.paper_numpy import PaperReference
 from lb_lighting.transport.paper.paper_opencl import PaperLattice
 from lb_lighting.transport.solver import KERNELS

@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from lb_lighting.transport.lattice.d3q19 import DIRECTIONS, WEIGHTS, collision_matrix
+from lb_lighting.transport.lattice.d3q19 import DIRECTIONS, WEIGHTS
+from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.paper_numpy import set_initial_light, step
 
 SHAPE = (6, 5, 7)

@@ -9,7 +9,7 @@ import pytest
 from lb_lighting.errors import Cancelled
 from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun, trace
 from lb_lighting.transport.device import devices
-from lb_lighting.transport.lights.lamps import Emission
+from lb_lighting.transport.lights.emission import Emission
 from lb_lighting.transport.uncollided.casting import cast
 from tests.tracing import OPENCL, Beam, assert_mean, name
 
