@@ -47,13 +47,18 @@ class Device:
     largest_buffer: int
 
     @property
+    def is_numpy(self):
+        """Whether it is the machine's processor, by NumPy."""
+        return self.kind == "NumPy"
+
+    @property
     def shares_memory(self):
         """Whether the arrays of the host take from the same memory."""
         return self.kind in ("CPU", "NumPy")
 
     @property
     def label(self):
-        return self.name if self.kind == "NumPy" else f"{self.name} [{self.platform}]"
+        return self.name if self.is_numpy else f"{self.name} [{self.platform}]"
 
     @property
     def line(self):
@@ -150,7 +155,7 @@ def choose(wanted=None):
     if isinstance(wanted, Device):
         return wanted
     if not wanted:
-        return next(device for device in devices() if device.kind == "NumPy" or _opens(device))
+        return next(device for device in devices() if device.is_numpy or _opens(device))
     wanted, fallback = wanted.strip(), numpy_device()
     if wanted.casefold().startswith("numpy") and _is_called(fallback, wanted):
         return fallback

@@ -7,18 +7,18 @@ equations and says what they neglect.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from math import inf, isinf, prod
 
 import numpy as np
 
-from ..errors import Cancelled, DeviceError, LightError
+from ..errors import DeviceError, LightError
 from . import device as devices
+from .backend import backend_of
 from .bands import runs_of, together
 from .box import matter
 from .field import Field, Report
 from .lattice.convergence import settle
-from .lattice.lattice_numpy import NumpyLattice, Source
+from .lattice.lattice_numpy import Source
 from .lattice.multigrid import Level
 from .lattice.streaming import stream_on
 from .lattice.subdivision import divided, merged, wished_pieces
@@ -27,6 +27,7 @@ from .lights.distant import Sky
 from .lights.emission import Emission
 from .lights.lamps import BEAMS
 from .lights.sampling import face_areas
+from .monitor import Monitor
 from .photons.trace import trace
 from .resample import coarse, put_together
 from .uncollided import casting
@@ -39,16 +40,18 @@ _SHIFTED = 1e-6  # of the light that entered: what may be left out of what is ra
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_take_missing` is used
 
 
-def solve(medium, lights, settings, device, clock, needed, progress, cancel, residual):
+def solve(medium, lights, settings, device, clock, needed, monitor):
     """`solver.solve` by the physical model; needed is the memory that it takes, bytes."""
     lights = list(lights)
     _refuse_unfit(medium, lights)
-    work = _Work(settings, device, clock, progress, cancel, residual)
+    work = _Work(settings, device, clock, monitor)
     pieces = settings.merge
     if pieces == 1 or medium.shift is not None or settings.scattering == "single":
         field = _lit(medium, lights, work, needed)
     else:
-        single = replace(work, settings=replace(settings, scattering="single"), progress=None)
+        single = replace(
+            work, settings=replace(settings, scattering="single"), monitor=monitor.silent()
+        )
         unscattered = _lit(medium, lights, single, needed)
         large = [coarse(light, pieces) for light in lights]
         field = put_together(unscattered, _lit(medium.merged(pieces), large, work, needed), pieces)
@@ -85,7 +88,7 @@ def plan(shape, settings, device, bands, occluded, lights=4):
         return buffers, max(host, kept + more_host)
     rays, casting_bytes = casting.plan(shape, occluded)
     single = settings.scattering == "single"
-    lattice = {} if single else _lattice_class(device).buffers(shape, occluded)
+    lattice = {} if single else backend_of(device).lattice_memory(shape, occluded)
     voxels = prod(shape)
     traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
     fields = bands * (1 + 1 + 3 + 3 + 2 * lights + traced) * 4
@@ -101,20 +104,6 @@ def plan(shape, settings, device, bands, occluded, lights=4):
     opaque = (1 + 16) * 8 * occluded  # what it is, and to find where light meets it
     always = (4 + opaque + fields + band + handed) * voxels
     return buffers, always + max(needs) - sum(buffers.values())
-
-
-def lattice_maker(device):
-    """A function that makes a lattice on a device, of the arguments of `NumpyLattice`."""
-    made = _lattice_class(device)
-    return made if made is NumpyLattice else partial(made, device=device)
-
-
-def _lattice_class(device):
-    if device.kind == "NumPy":
-        return NumpyLattice
-    from .lattice.lattice_opencl import OpenCLLattice  # only now: it needs pyopencl
-
-    return OpenCLLattice
 
 
 def is_within(light, domain):
@@ -281,9 +270,7 @@ class _Work:
     settings: object
     device: object
     clock: object
-    progress: object
-    cancel: object
-    residual: object
+    monitor: Monitor
     begun: float = 0.0  # the share of all work before the band at hand
     share: float = 1.0  # and that of this band
 
@@ -343,7 +330,7 @@ class _Work:
                 device=self.device,
                 handover=None if isinf(last) else last,
                 progress=lambda _stage, fraction: self._tell("trace", _TRACING * fraction),
-                cancel=self.cancel,
+                cancel=self.monitor.cancel,
             )
 
     def _bands(self, medium, box, lights, traced, lit):
@@ -364,8 +351,7 @@ class _Work:
         self._tell("solve", begun + share)
 
     def _tell(self, stage, fraction):
-        if self.progress is not None:
-            self.progress(stage, fraction)
+        self.monitor.report(stage, fraction)
 
     def _unscattered(self, medium, box, lights, lit):
         """Light that has not scattered alone; what would scatter is counted, and followed no
@@ -414,7 +400,7 @@ class _Work:
     def _each(self, medium, box, lights):
         """(number of its light, `Rays`) of each part of the lights, one at a time, for casts take
         much memory."""
-        how = self.settings.rays, self.device, self.cancel
+        how = self.settings.rays, self.device, self.monitor
         for number, part in parts(lights):
             yield number, Rays(medium, box, part, *how)
 
@@ -485,7 +471,7 @@ class _Work:
         optics = (medium.albedo[band], medium.g[band])
         opaque = map(box.of, (medium.occlusion, medium.occlusion_albedo[band]))
         edge = max(medium.shape)
-        level = Level(lattice_maker(self.device), depth, *optics, *opaque, edge)
+        level = Level(backend_of(self.device).lattice, depth, *optics, *opaque, edge)
         lattice = level.lattice
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
         lattice.start(handover.source(transport_depth, scale))
@@ -505,10 +491,8 @@ class _Work:
         lit.energy["absorbed"] += watts * (absorbed + stopped)
 
     def _tell_error(self, error):
-        if self.cancel is not None and self.cancel():
-            raise Cancelled("Cancelled; nothing was changed.")
-        if self.residual is not None:
-            self.residual(error)
+        self.monitor.check()
+        self.monitor.report_residual(error)
         tolerance = self.settings.tolerance
         reached = np.log(max(error, tolerance)) / np.log(tolerance)
         self._tell("solve", self.begun + self.share * reached)

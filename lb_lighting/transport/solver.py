@@ -7,6 +7,7 @@ from ..errors import SettingsError, require_known, require_whole
 from . import device as devices
 from . import hybrid
 from .field import Clock
+from .monitor import Monitor
 from .paper import model as paper
 
 MODELS = {"physical": hybrid, "paper": paper}
@@ -121,8 +122,8 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
         lights, occluded = list(lights), medium.occlusion is not None
         needed = require_memory(medium.shape, settings, used, medium.bands, occluded, len(lights))
     model = MODELS[settings.model]
-    told = progress, cancel, residual
-    return model.solve(medium, lights, settings, used, clock, needed, *told)
+    monitor = Monitor(progress, cancel, residual)
+    return model.solve(medium, lights, settings, used, clock, needed, monitor)
 
 
 def require_memory(shape, settings=None, device=None, bands=3, occluded=True, lights=4):

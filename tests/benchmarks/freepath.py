@@ -20,8 +20,9 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import Medium, Sky, device
+from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.photons import majorants, paths_numpy
-from lb_lighting.transport.photons.free_path import MOST_STEPS, engine, path_grid
+from lb_lighting.transport.photons.free_path import MOST_STEPS, path_grid
 from lb_lighting.transport.photons.perlin import STRONG, WEAK, PerlinMedium
 from tests.benchmarks.table import publish
 from tests.setup import heads
@@ -77,7 +78,7 @@ class Point:
     """One sampler on one grid, ready to be timed at any density."""
 
     def __init__(self, grid, found):
-        self.grid, self.paths = grid, engine(grid, found)
+        self.grid, self.paths = grid, backend_of(found).paths(grid)
         self.most_items = self.paths.items
         self.units = self.paths.queue.device.max_compute_units
         self._seconds(1, np.inf, 0)  # builds the program

@@ -17,7 +17,7 @@ from multiprocessing.pool import ThreadPool
 
 from lb_lighting.transport.device import _BUILD_OPTIONS, _SOURCES
 from lb_lighting.transport.lattice import lattice_opencl
-from lb_lighting.transport.photons import majorants
+from lb_lighting.transport.photons import majorants_opencl
 from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 from tests.setup import compilers
@@ -43,7 +43,7 @@ def programs():
     shape = ("WIDTH=128", "HEIGHT=128", "DEPTH=128")
     for kernel, first, some in product(KERNELS, (0, 1), subsets("OCCLUSION")):
         yield (f"paper/{kernel}.cl",), (*shape, f"FIRST={first}", *some)
-    yield ("photons/majorants.cl",), majorants._defines()
+    yield ("photons/majorants.cl",), majorants_opencl.defines()
     for sampler, linear, noise in product(BOUNDS_OF_PATHS, subsets("LINEAR"), (False, True)):
         files = ("photons/random.cl", *(["photons/perlin.cl"] if noise else []), "photons/paths.cl")
         defines = (*sampler, *linear, *(["PERLIN_MEDIUM"] if noise else []))

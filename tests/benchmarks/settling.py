@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.hybrid import lattice_maker
+from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.lattice.convergence import settle
 from lb_lighting.transport.lattice.lattice_numpy import Source
 from lb_lighting.transport.lattice.multigrid import Level
@@ -68,7 +68,7 @@ SOURCES = (from_above, glowing, one_voxel)
 
 def started(kind, found, optics):
     *optics, power = optics
-    level = kind(lattice_maker(found), *optics)
+    level = kind(backend_of(found).lattice, *optics)
     level.lattice.start(Source(power, np.zeros((3, *power.shape))))
     return level
 

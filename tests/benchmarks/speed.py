@@ -26,11 +26,11 @@ import numpy as np
 import pyopencl as cl
 
 from lb_lighting.transport import Settings, Sky, Sun, device, solve
+from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.box import Box
-from lb_lighting.transport.hybrid import lattice_maker
 from lb_lighting.transport.lattice.convergence import _Look
 from lb_lighting.transport.lattice.lattice_numpy import Source
-from lb_lighting.transport.lattice.lattice_opencl import OpenCLLattice, _state_size, _stride
+from lb_lighting.transport.lattice.lattice_opencl import OpenclLattice, _state_size, _stride
 from lb_lighting.transport.lattice.layout import GROUP, Cells
 from lb_lighting.transport.lattice.multigrid import Level
 from lb_lighting.transport.lights.sampling import rank_1
@@ -72,7 +72,7 @@ def steps():
                 "ours / final": speeds["ours"] / speeds["final"],
                 "ours / roof": speeds["ours"] / speeds["roof"],
                 "copy, GB/s": copied(found, shape),
-                "bytes a voxel": sum(OpenCLLattice.buffers(shape, False).values()) / prod(shape),
+                "bytes a voxel": sum(OpenclLattice.buffers(shape, False).values()) / prod(shape),
             }
 
 
@@ -105,7 +105,7 @@ def stepped(lattice, count):
 def our_level(found, shape):
     """Of a random medium, started."""
     rng = np.random.default_rng(0)
-    level = Level(lattice_maker(found), rng.uniform(0.1, 2, shape), 0.95, 0.5)
+    level = Level(backend_of(found).lattice, rng.uniform(0.1, 2, shape), 0.95, 0.5)
     level.lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
     return level
 

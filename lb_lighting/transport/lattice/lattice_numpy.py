@@ -72,7 +72,7 @@ def _by_direction(depth):
 
 
 class NumpyLattice:
-    """The lattice of one band, used just as `physical_opencl.OpenCLLattice`.
+    """The lattice of one band, used just as `physical_opencl.OpenclLattice`.
 
     depth             (nx, ny, nz), optical depth of a voxel's edge
     albedo, g         of the band

@@ -44,7 +44,7 @@ _CONSTANTS = (
 )
 
 
-class OpenCLLattice:
+class OpenclLattice:
     """The lattice of one band on a device, with the arguments of `physical_numpy.NumpyLattice`."""
 
     def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device, edge=None):

@@ -10,14 +10,13 @@ says what that was measured to be worth.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from math import ceil, floor
 from time import perf_counter
 
 import numpy as np
 
-from ...errors import Cancelled
 from .. import device as devices
+from ..backend import backend_of
 from ..bands import distinct
 from ..box import Box
 from ..field import Scattered
@@ -26,8 +25,9 @@ from ..lights.emission import Emission
 from ..lights.lamps import BEAMS
 from ..lights.sampling import rank_1, shift_of
 from ..medium import merged
+from ..monitor import Monitor
 from ..resample import between
-from ..uncollided.sweep import Beam, NumpyGlow, Turn
+from ..uncollided.sweep import Beam, Turn
 from .quadrature import (
     DEGREES,
     directions_for,
@@ -68,15 +68,16 @@ def gather(medium, lights, field, device=None, times=TIMES, progress=None, cance
     progress  called with the share that is done
     Raises DeviceError or Cancelled.
     """
+    monitor = Monitor(progress and (lambda _stage, share: progress(share)), cancel)
     lights, pieces = list(lights), _pieces(medium)
     if pieces > 1:
         large, of_large = medium.merged(pieces), _merged(field, medium, pieces)
-        found = _gathered(large, lights, of_large, device, times, progress, cancel)
+        found = _gathered(large, lights, of_large, device, times, monitor)
         moments, lobes = (
             between(grid, pieces, medium.shape) for grid in (found.moments, found.lobes)
         )
         return Scattered(moments, lobes, found.g, times)
-    return _gathered(medium, lights, field, device, times, progress, cancel)
+    return _gathered(medium, lights, field, device, times, monitor)
 
 
 def _pieces(medium):
@@ -99,7 +100,7 @@ def _merged(field, medium, pieces):
     return replace(field, **{name: merged(getattr(field, name), pieces) / there for name in names})
 
 
-def _gathered(medium, lights, field, device, times, progress, cancel):
+def _gathered(medium, lights, field, device, times, monitor):
     """`gather` in a medium's own voxels."""
     ways, box = _Ways(medium, lights), Box.around([medium.density])
     found = Scattered.dark(medium.bands, len(ways.numbers), medium.shape, times)
@@ -110,8 +111,9 @@ def _gathered(medium, lights, field, device, times, progress, cancel):
         scale = (field.fluence[band] + field.direct[band]).max() or np.float32(1)
         light, unscattered = (part(field, scale) for part in (gatherer.first, gatherer.unscattered))
         for time in range(times):
-            tell = partial(_tell, progress, number * times + time, len(runs) * times)
-            light = gatherer.next(light, unscattered, tell, cancel)
+            passes = len(runs) * times
+            of_pass = monitor.part((number * times + time) / passes, 1 / passes)
+            light = gatherer.next(light, unscattered, of_pass)
         light.moments[1:] *= gatherer.bound(light)
         for other, factor in multiples.items():
             box.of(found.moments[other])[...] = factor * scale * light.moments
@@ -124,11 +126,6 @@ def _runs(medium, lights):
     """[(band to gather, {band: its multiple})]"""
     shining = lights if medium.emission is None else [*lights, Emission(medium)]
     return distinct(medium, shining)
-
-
-def _tell(progress, done, passes, share):
-    if progress is not None:
-        progress((done + share) / passes)
 
 
 def seconds(medium, lights, device=None, times=TIMES):
@@ -244,14 +241,13 @@ class _Gatherer:
     def _beams(self, grids, scale):
         return self.box.of(grids[self.ways.numbers, self.band]) / scale
 
-    def next(self, light, unscattered, progress, cancel):
+    def next(self, light, unscattered, monitor):
         """The `_Light` that is gathered of one, and of unscattered light."""
         moments = np.zeros((9, *self.depth.shape), np.float32)
         thirds = np.zeros((len(self.along), *self.depth.shape), np.float32)
         done = 0
         for turn, some in self.groups():
-            if cancel is not None and cancel():
-                raise Cancelled("Cancelled; nothing was changed.")
+            monitor.check()
             radiance = self.radiance(turn, some, light, [unscattered])
             weights = self.weights[some].astype(np.float32)
             basis = (weights * harmonics(self.towards[some].T)).astype(np.float32)
@@ -260,7 +256,7 @@ class _Gatherer:
                 weighted = weights.reshape(-1, 1, 1, 1) * third(cosine)
                 own += np.sum(weighted * radiance, axis=0)
             done += len(some)
-            progress(done / len(self.towards))
+            monitor.report("ordinates", done / len(self.towards))
         moments *= (self.g**_DEGREES).astype(np.float32)
         if self.g < FORWARDS:  # there is hardly a third moment
             return _Light(moments, np.zeros_like(thirds), 0.0)
@@ -302,7 +298,8 @@ class _Gatherer:
         np.maximum(shining, 0, out=shining)  # moments alone may be less than nothing
         shining *= self.scattering
         beams = [Beam(self.towards[n], 1.0, turn, (self.lattice + shift_of(n)) % 1) for n in some]
-        score = self._glow(turn).run(beams, [turn.turned(own) for own in shining])
+        glow = backend_of(self.device).glow(turn, turn.turned(self.depth))
+        score = glow.run(beams, [turn.turned(own) for own in shining])
         width = np.array([beam.dw for beam in beams], np.float32) / self.lattice.shape[1]
         found = np.array([turn.back(own) for own in score], np.float32)
         return found * width.reshape(-1, 1, 1, 1) / np.maximum(1, self.depth)
@@ -311,14 +308,6 @@ class _Gatherer:
         return [
             np.tensordot(self.towards[some].astype(np.float32), way, axes=1) for way in self.along
         ]
-
-    def _glow(self, turn):
-        depth = turn.turned(self.depth)
-        if self.device.kind == "NumPy":
-            return NumpyGlow(turn, depth)
-        from ..uncollided.sweep_opencl import OpenclGlow  # only now: it needs pyopencl
-
-        return OpenclGlow(turn, depth, self.device)
 
 
 def beside_beams(field, band, numbers, ways, box):

@@ -5,24 +5,24 @@ from math import prod
 
 import numpy as np
 
-from ...errors import Cancelled, LightError, MediumError
+from ...errors import LightError, MediumError
+from ..backend import backend_of
 from ..field import Field, Report
 from ..lattice.d3q19 import UNIT, WEIGHTS
 from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..medium import SMALLEST_EDGE
 from .collision import collision_matrix
-from .paper_numpy import PaperReference
 
 _REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
 
 
-def solve(medium, lights, settings, device, clock, needed, progress, cancel, _residual):
+def solve(medium, lights, settings, device, clock, needed, monitor):
     """`solver.solve` by the paper's model; needed is the memory that it takes, bytes."""
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)
     with clock("prepare"):
-        lattice = _lattice(medium, settings, device)
+        lattice = backend_of(device).paper_lattice(medium, settings.keep_absorbed, settings.kernel)
     runs = _distinct_runs(medium, inflow)
     steps = settings.steps or 2 * max(medium.shape)
     light = np.empty((medium.bands, *medium.shape), np.float32)
@@ -32,7 +32,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel, _re
         with clock("solve"):
             omega = collision_matrix(medium.sigma_s[band], medium.sigma_a[band], medium.g[band])
             lattice.start(inflow[band], omega)
-            _advance(lattice, steps, number, len(runs), progress, cancel)
+            _advance(lattice, steps, number, len(runs), monitor)
         with clock("read"):
             change = _read(lattice, light[band], flux[band])
             residual = max(residual, change)
@@ -54,12 +54,7 @@ def solve(medium, lights, settings, device, clock, needed, progress, cancel, _re
 
 def plan(shape, settings, device, bands, occluded, lights=0):
     """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
-    if device.kind == "NumPy":
-        buffers = PaperReference.buffers(shape, occluded)
-    else:
-        from .paper_opencl import PaperLattice
-
-        buffers = PaperLattice.buffers(shape, settings.kernel, occluded)
+    buffers = backend_of(device).paper_memory(shape, settings.kernel, occluded)
     medium = 4 + (4 if occluded else 0)
     field = bands * (1 + 1 + 3) * 4  # fluence, direct, flux
     work = 3 * 8  # the light now, the light before, their difference
@@ -112,14 +107,6 @@ def _refuse_unfit(medium):
         )
 
 
-def _lattice(medium, settings, device):
-    if device.kind == "NumPy":
-        return PaperReference(medium, settings.keep_absorbed)
-    from .paper_opencl import PaperLattice  # only now: it needs pyopencl
-
-    return PaperLattice(medium, settings.keep_absorbed, device, settings.kernel)
-
-
 def _distinct_runs(medium, inflow):
     """[(band to solve, {band: its multiple})]: bands that differ by a factor are solved once.
 
@@ -148,13 +135,11 @@ def _factor(inflow, base):
     return factor if np.allclose(inflow, factor * base, rtol=1e-12, atol=0) else None
 
 
-def _advance(lattice, steps, run, runs, progress, cancel):
+def _advance(lattice, steps, run, runs, monitor):
     for done in range(0, steps, _REPORT_EVERY):
-        if cancel is not None and cancel():
-            raise Cancelled("Cancelled; nothing was changed.")
+        monitor.check()
         lattice.advance(min(_REPORT_EVERY, steps - done))
-        if progress is not None:
-            progress("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
+        monitor.report("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
 
 
 def _read(lattice, fluence, flux):

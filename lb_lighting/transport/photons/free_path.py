@@ -30,6 +30,7 @@ from ...errors import (
     require_whole,
 )
 from .. import device as devices
+from ..backend import backend_of
 from . import majorants
 from .perlin import PerlinMedium
 
@@ -181,7 +182,7 @@ class FreePathSampler:
         require_whole(most_steps, "number of steps", 1, 2**31 - 1)
         devices.require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
         self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
-        self.paths = engine(self.grid, self.device)
+        self.paths = backend_of(self.device).paths(self.grid)
         self.band, self.most_steps = band, most_steps
 
     def sample(self, origins, directions, seed=0):
@@ -252,17 +253,6 @@ def sample_free_paths(
         medium, sampler, device, band=band, interpolation=interpolation, supervoxel=supervoxel
     )
     return prepared.sample(origins, directions, seed)
-
-
-def engine(grid, device):
-    """What walks paths through `grid` on `device`."""
-    if device.kind == "NumPy":
-        from .paths_numpy import NumpyPaths
-
-        return NumpyPaths(grid)
-    from .paths_opencl import OpenclPaths  # only now: it needs pyopencl
-
-    return OpenclPaths(grid, device)
 
 
 def check_rays(origins, directions):

@@ -12,12 +12,12 @@ bound has at the super-voxel's corners.
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from ...errors import SettingsError, require_known
 from .. import device as devices
+from ..backend import backend_of
 
 INTERPOLATIONS = ("constant", "linear")
 KINDS = ("constant", "linear")
@@ -31,16 +31,8 @@ _MARGIN = 32 * _ROUNDING
 # Maximum densities beyond which they would underflow or overflow on the way.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 
-# The linear program stops this close to its optimum, as a share of the bound's mean, or after
-# so many exchanges; a head volume takes 12 on average and 50 at most.
-_TOLERANCE = 1e-3
-_EXCHANGES = 64
-_SMALLEST_PIVOT = 1e-4  # of an exchange; float32 turns smaller ones into noise
-
 _FINEST = 32  # nodes an edge, less one, of the largest linear program; beyond, blocks are merged
-_LANES = 16  # super-voxels that lie side by side in the kernel's memory
 _SCRATCH = 2**27  # bytes for the kernel's node values at a time
-_BATCH = 2**20  # node values at a time in NumPy
 
 # The corners of a super-voxel, z fastest, and the powers of x, y, z in the terms of a bound.
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -130,18 +122,17 @@ def linear_bound(density, size, interpolation="constant", device=None):
     """
     grid = fine_cells(density, interpolation)
     _require_size(size)
-    device = devices.choose(device)
     merged = _merged(size, max(grid.shape))
     if merged == 1:
-        problem = _Problem(grid.values, grid.shape, size, interpolation == "constant")
+        problem = Problem(grid.values, grid.shape, size, interpolation == "constant")
     else:
         blocks = _block_maxima(grid.values, grid.shape, merged)
-        problem = _Problem(blocks, blocks.shape, size // merged, True)
+        problem = Problem(blocks, blocks.shape, size // merged, True)
     values = np.empty((*problem.cells, 8), np.float32)
     constant = constant_bound(density, size, interpolation).values
-    solve = _solve_by_numpy if device.kind == "NumPy" else _solve_by_opencl
+    backend = backend_of(devices.choose(device))
     for layers, slab in problem.slabs():
-        corners = solve(slab, device)
+        corners = backend.least_corners(slab)
         values[layers] = _polynomials(corners, constant[layers], slab, interpolation)
     return Bound(size, values, _mean(values, _TERMS, grid, size))
 
@@ -233,7 +224,7 @@ def _mean(values, terms, grid, size):
 
 
 @dataclass(frozen=True)
-class _Problem:
+class Problem:
     """The linear programs of a grid of super-voxels.
 
     values   float32, voxels or nodes
@@ -262,14 +253,14 @@ class _Problem:
         return np.minimum(self.size, self.fine[axis] - np.arange(self.cells[axis]) * self.size)
 
     def slabs(self):
-        """(slice of layers, `_Problem`) of as many layers along x as fit into the scratch."""
+        """(slice of layers, `Problem`) of as many layers along x as fit into the scratch."""
         layer = 4 * int(np.prod(self.nodes)) * self.cells[1] * self.cells[2]
         step = max(1, _SCRATCH // layer)
         for first in range(0, self.cells[0], step):
             last = min(first + step, self.cells[0])
             begin, end = first * self.size, min(last * self.size, self.fine[0])
             values = self.values[begin : end + (0 if self.blocky else 1)]
-            slab = _Problem(values, (end - begin, *self.fine[1:]), self.size, self.blocky)
+            slab = Problem(values, (end - begin, *self.fine[1:]), self.size, self.blocky)
             yield slice(first, last), slab
 
 
@@ -299,127 +290,3 @@ def _polynomials(corners, constant, problem, interpolation):
                     coefficients[..., term] *= along
         values[layer] = coefficients
     return values
-
-
-def _solve_by_opencl(problem, device):
-    """Corner values (mx, my, mz, 8) of the least bounds, by kernels/photons/majorants.cl."""
-    import pyopencl as cl
-
-    context, queue = devices.context(device), devices.queue(device)
-    program = devices.program(device, "photons/majorants.cl", _defines())
-    count = int(np.prod(problem.cells))
-    groups = -(-count // _LANES)
-    corners = np.empty((*problem.cells, 8), np.float32)
-    flags = cl.mem_flags
-    values = cl.Buffer(context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=problem.values)
-    scratch = cl.Buffer(
-        context, flags.READ_WRITE, 4 * _LANES * groups * int(np.prod(problem.nodes))
-    )
-    result = cl.Buffer(context, flags.WRITE_ONLY, corners.nbytes)
-    triples = [cl.cltypes.make_int3(*t) for t in (problem.fine, problem.cells, problem.nodes)]
-    fit = cl.Kernel(program, "fit")
-    options = np.int32(problem.size), np.int32(problem.blocky)
-    fit(queue, (groups * _LANES,), (_LANES,), values, *triples, *options, scratch, result)
-    cl.enqueue_copy(queue, corners, result)
-    return corners
-
-
-def _defines():
-    return (
-        f"LANES={_LANES}",
-        f"EXCHANGES={_EXCHANGES}",
-        f"TOLERANCE={_TOLERANCE}f",
-        f"SMALLEST_PIVOT={_SMALLEST_PIVOT}f",
-    )
-
-
-def _solve_by_numpy(problem, device=None):
-    """The same in NumPy float64: the kernel's twin."""
-    corners = np.empty((*problem.cells, 8))
-    for alike in product(*(_alike(problem, axis) for axis in range(3))):
-        cells, extents = zip(*alike, strict=True)
-        nodes = _node_values(problem, cells, extents)
-        weights = _corner_weights(extents)
-        least = np.empty((len(nodes), 8))
-        step = max(1, _BATCH // nodes.shape[1])
-        for first in range(0, len(nodes), step):
-            batch = slice(first, first + step)
-            least[batch] = _least_corners(nodes[batch].astype(float), weights)
-        corners[np.ix_(*cells)] = least.reshape(*map(len, cells), 8)
-    return corners
-
-
-def _alike(problem, axis):
-    """[(super-voxels, fine cells they have)] along an axis: the whole ones, then the cut one."""
-    whole, rest = divmod(problem.fine[axis], problem.size)
-    alike = [(np.arange(whole), problem.size), (np.array([whole]), rest)]
-    return [(cells, extent) for cells, extent in alike if len(cells) and extent]
-
-
-def _node_values(problem, cells, extents):
-    """(cells, nodes) of the super-voxels at `cells`, a triple of indices; z fastest in both."""
-    values = problem.values
-    for axis, (index, extent) in enumerate(zip(cells, extents, strict=True)):
-        begin = index[:, None] * problem.size
-        node = np.arange(extent + 1)
-        if problem.blocky:
-            below, above = np.maximum(node - 1, 0), np.minimum(node, extent - 1)
-            values = np.maximum(
-                values.take((begin + below).ravel(), axis),
-                values.take((begin + above).ravel(), axis),
-            )
-        else:
-            values = values.take((begin + node).ravel(), axis)
-    split = [n for i, e in zip(cells, extents, strict=True) for n in (len(i), e + 1)]
-    values = values.reshape(split).transpose(0, 2, 4, 1, 3, 5)
-    return values.reshape(int(np.prod(split[::2])), -1)
-
-
-def _corner_weights(extents):
-    """(nodes, 8): the share of each corner in a trilinear function at each node."""
-    x, y, z = (np.stack([1 - t, t]) for t in (np.arange(e + 1) / e for e in extents))
-    return np.einsum("ai,bj,ck->ijkabc", x, y, z).reshape(-1, 8)
-
-
-def _least_corners(nodes, weights):
-    """(cells, 8): corner values of the least trilinear functions above `nodes` (cells, nodes).
-
-    The dual simplex method. Each cell has 8 nodes at which its function touches, at first the
-    corners; the node that it misses by most comes in, and the one goes whose share in the dual
-    objective would be the first to turn negative. On the way the mean of the function can only
-    grow, and it is never above the optimum; lifted by what it misses, it is a bound.
-    """
-    best = np.empty((len(nodes), 8))
-    least = np.full(len(nodes), np.inf)
-    at_corner = np.argmax(weights, axis=0)
-    going = np.arange(len(nodes))
-    corners = nodes[:, at_corner]
-    inverse = np.tile(np.eye(8), (len(nodes), 1, 1))  # from values at the 8 nodes to corner values
-    share = np.ones((len(nodes), 8))
-    for _ in range(_EXCHANGES + 1):
-        missing = nodes - corners @ weights.T
-        worst = missing.argmax(axis=1)
-        excess = np.maximum(missing[np.arange(len(nodes)), worst], 0)
-        mean = corners.mean(axis=1)
-        better = mean + excess < least[going]
-        least[going[better]] = (mean + excess)[better]
-        best[going[better]] = (corners + excess[:, None])[better]
-
-        on = excess > _TOLERANCE * mean
-        if not on.any():
-            break
-        going, nodes, corners, inverse, share, excess, worst = (
-            a[on] for a in (going, nodes, corners, inverse, share, excess, worst)
-        )
-        entering = np.einsum("ci,cik->ck", weights[worst], inverse)
-        usable = entering > _SMALLEST_PIVOT  # some are: they sum to 1
-        ratio = np.where(usable, share / np.where(usable, entering, 1), np.inf)
-        leaving, step = ratio.argmin(axis=1), ratio.min(axis=1)
-        row = np.arange(len(nodes))
-        column = inverse[row, :, leaving] / entering[row, leaving, None]
-        corners = corners + column * excess[:, None]
-        inverse -= column[:, :, None] * entering[:, None, :]
-        inverse[row, :, leaving] = column
-        share = np.maximum(share - step[:, None] * entering, 0)
-        share[row, leaving] = step
-    return best

@@ -18,12 +18,12 @@ from math import prod
 import numpy as np
 
 from ...errors import (
-    Cancelled,
     MediumError,
     SettingsError,
     require_whole,
 )
 from .. import device as devices
+from ..backend import backend_of
 from ..field import (
     Clock,
     Field,
@@ -33,10 +33,10 @@ from ..field import (
 from ..lights.base import darkness, multiple
 from ..lights.emission import Emission
 from ..medium import Domain
+from ..monitor import Monitor
 from . import tallies
 from .free_path import (
     MOST_STEPS,
-    engine,
     enter,
     path_grid,
     refuse_violations,
@@ -117,7 +117,7 @@ def trace(
     Source: paper 2 for the paths; equation 1 of paper 1 for what they solve.
     """
     _refuse_unfit(medium, photons, handover, interpolation, spacing, seed, most_steps)
-    clock = Clock()
+    clock, monitor = Clock(), Monitor(progress, cancel)
     with clock("prepare"):
         used = devices.choose(device)
         shape = _tally_shape(medium, tallied)
@@ -129,7 +129,7 @@ def trace(
         batches = _batches(photons, prod(shape))
         runs = _runs(medium, lights, photons, batches, 1 if direct else _COPIES, seed)
         per_cell = shape[0] / (grid.fine.upper[0] - grid.fine.lower)
-        paths = engine(grid, used)
+        paths = backend_of(used).paths(grid)
         result = _Result(medium, shape, wanted, batches)
 
     for number, run in enumerate(runs):
@@ -139,10 +139,9 @@ def trace(
             at_border = np.zeros(tallies.SUMS)
             for batch in range(batches):
                 options = (most_steps, spacing / per_cell, handover or 0)
-                at_border += _trace_batch(paths, run, batch, seed, options, cancel)
+                at_border += _trace_batch(paths, run, batch, seed, options, monitor)
                 paths.take_batch(batch + 1)
-                if progress is not None:
-                    progress("trace", (number + (batch + 1) / batches) / len(runs))
+                monitor.report("trace", (number + (batch + 1) / batches) / len(runs))
         with clock("read"):
             *found, sums = paths.read_tallies()
             result.add(run, *found, sums + at_border, spacing / per_cell * medium.voxel_size)
@@ -267,7 +266,7 @@ def _probe(light, medium, band, seed):
     return light.emit(_PROBE, medium, np.random.default_rng([seed, 0]), band)[2]
 
 
-def _trace_batch(paths, run, batch, seed, options, cancel):
+def _trace_batch(paths, run, batch, seed, options, monitor):
     """Trace the photons of one batch; options are the last arguments of the paths' own method.
 
     Returns (SUMS,) of what opaque voxels at the domain's faces let nobody trace.
@@ -285,8 +284,7 @@ def _trace_batch(paths, run, batch, seed, options, cancel):
     stream = np.random.SeedSequence([seed, run.number, batch]).generate_state(1)[0]
     at_once = _AT_ONCE // run.copies
     for first in range(0, photons.shape[1], at_once):
-        if cancel is not None and cancel():
-            raise Cancelled("Cancelled; nothing was changed.")
+        monitor.check()
         most_steps, spacing, last = options
         paths.trace_photons(
             np.ascontiguousarray(photons[:, first : first + at_once]),

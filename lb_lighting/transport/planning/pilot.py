@@ -116,7 +116,7 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
         return pilot
     pieces = {merge: _pieces(medium.merged(merge), settings) for merge in MERGES}
     pilot = replace(pilot, pieces={0: _pieces(small, settings), **pieces})
-    is_slow = devices.choose(device).kind == "NumPy"
+    is_slow = devices.choose(device).is_numpy
     flight = _Flight(small, weight, single, solved, target, _is_dark(medium), is_slow)
     pilot = flight.with_scattered(pilot)
     if scattered:

@@ -23,6 +23,7 @@ from ...errors import (
     require_whole,
 )
 from .. import device as devices
+from ..backend import backend_of
 from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
@@ -166,7 +167,8 @@ class _Look:
         self.skies = [light.seen(medium.bands) for light in lights if isinstance(light, Sky)]
         self.grid = path_grid(medium, sampler, device=device)
         emission, opaque = _shining(medium), _opaque(medium)
-        self.eye = _eye(self.grid, device, _targets(lights, medium, self.grid), emission, opaque)
+        targets = _targets(lights, medium, self.grid)
+        self.eye = backend_of(device).eye(self.grid, targets, emission, opaque)
         optics = list(zip(medium.sigma_t, medium.g, strict=True))
         self.alike = [[n for n, o in enumerate(optics) if o == some] for some in {*optics}]
 
@@ -198,16 +200,6 @@ class _Look:
         for radiance in self.skies:
             seen[:, :3] += left[:, 4:7] * radiance(left[:, :3])
         return seen[:, :3], seen[:, 3]
-
-
-def _eye(grid, device, *scene):
-    if device.kind == "NumPy":
-        from .preview_numpy import NumpyEye
-
-        return NumpyEye(grid, *scene)
-    from .preview_opencl import OpenclEye  # only now: it needs pyopencl
-
-    return OpenclEye(grid, device, *scene)
 
 
 def _plan(shape, medium):

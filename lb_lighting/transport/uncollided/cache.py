@@ -31,12 +31,12 @@ class Rays:
     differs in how much of each it scatters.
 
     number          of rays along a voxel's edge, over the usual number
-    device, cancel  as of `direct.cast`
+    device, monitor  as of `direct.cast`
     """
 
-    def __init__(self, medium, box, light, number, device, cancel):
+    def __init__(self, medium, box, light, number, device, monitor):
         self.medium, self.box, self.light = medium, box, light
-        self.how = number, device, cancel
+        self.how = number, device, monitor
         self.sent = {}  # {whether without the forward peak: (sigma_t, band, `direct.Cast`)}
 
     def cast(self, band, sigma_t, shadowed=True, peaked=True):
@@ -56,7 +56,7 @@ class Rays:
 
     def _send(self, band, sigma_t, shadowed):
         medium, light = self.medium, self.light
-        number, device, cancel = self.how
+        number, device, monitor = self.how
         shadow = getattr(light, "shadow_density", None)
         if shadow is not None and shadowed:
             medium = medium.altered(density=shadow)
@@ -64,7 +64,7 @@ class Rays:
         if isinstance(light, (Sky, Emission)):
             usual = _OF_SKY
         per_edge = max(1, round(usual * number))
-        return casting.cast(medium, light, band, sigma_t, device, per_edge, cancel, self.box)
+        return casting.cast(medium, light, band, sigma_t, device, per_edge, monitor, self.box)
 
     @cached_property
     def missing(self):

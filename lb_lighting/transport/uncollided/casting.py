@@ -12,23 +12,22 @@ from math import prod
 
 import numpy as np
 
-from ...errors import Cancelled
 from .. import device as devices
+from ..backend import backend_of
 from ..box import Box
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
+from ..monitor import UNHEARD
 from .march import (
     DIRECTION,
     POSITION,
     SCORE,
     TALLIES,
-    NumpyMarch,
     enter,
 )
 from .sweep import (
     STOPPED,
     Beam,
-    NumpySweep,
     Turn,
     Voxels,
 )
@@ -176,7 +175,7 @@ class _Scores:
         return count
 
 
-def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, box=None):
+def cast(medium, light, band, sigma_t, device=None, per_edge=10, monitor=UNHEARD, box=None):
     """Send the unscattered light of one light and band through a medium.
 
     medium    a `Medium`
@@ -184,14 +183,14 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, cancel=None, bo
     sigma_t   extinction at density 1 to reckon with, 1/m
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
     per_edge  rays along a voxel's edge: see `rays` of each light
-    cancel    called without arguments; the cast ends with `Cancelled` where it returns true
+    monitor   a `Monitor`, whose `check` ends the cast where the user cancels
     box       a `Box` that holds all matter, and all that shines; None for the whole domain
     Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
     """
     device, box = devices.choose(device), box or Box.all(medium.shape)
     if hasattr(light, "suns"):
-        return _swept(medium, box, light, band, sigma_t, device, per_edge, cancel)
-    return _marched(medium, box, light, band, sigma_t, device, per_edge, cancel)
+        return _swept(medium, box, light, band, sigma_t, device, per_edge, monitor)
+    return _marched(medium, box, light, band, sigma_t, device, per_edge, monitor)
 
 
 def plan(shape, occluded=True):
@@ -206,15 +205,14 @@ def plan(shape, occluded=True):
     return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
 
 
-def _marched(medium, box, light, band, sigma_t, device, per_edge, cancel):
+def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
     """The `Cast` of what shines from a place: ray by ray."""
     everywhere = Box.all(medium.shape)
-    march = _march(device, _voxels(medium, everywhere, band, sigma_t))
+    march = backend_of(device).march(_voxels(medium, everywhere, band, sigma_t))
     strongest, pieces = _rays(light, medium, band, per_edge)
     entered = 0.0
     for origins, directions, power in _gathered(pieces) if strongest > 0 else ():
-        if cancel is not None and cancel():
-            raise Cancelled("Cancelled; nothing was changed.")
+        monitor.check()
         places, hit, starts, faces = enter(medium.domain, origins, directions)
         power = power[hit]
         if not power.size:
@@ -230,7 +228,7 @@ def _marched(medium, box, light, band, sigma_t, device, per_edge, cancel):
     return found if softness is None else _softened(found, box, softness.astype(np.float32))
 
 
-def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
+def _swept(medium, box, light, band, sigma_t, device, per_edge, monitor):
     """The `Cast` of what shines as suns do: of each of these, by layers."""
     directions, strengths, of_each = light.suns(medium, band, per_edge)
     lattice, strongest = rank_1(of_each**2), float(strengths.max(initial=0))
@@ -250,13 +248,14 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, cancel):
     longest = np.abs(directions).argmax(axis=1)
     for axis in np.unique(longest[shares > 0]):
         turn = Turn(axis, medium.shape, box)
-        sweep = _sweep(device, turn, voxels.of(turn.turned), directed=len(directions) > 1)
+        directed = len(directions) > 1
+        sweep = backend_of(device).sweep(turn, voxels.of(turn.turned), directed)
         beams = [
             Beam(directions[n], shares[n], turn, (lattice + shift_of(n)) % 1)
             for n in np.flatnonzero((longest == axis) & (shares > 0))
         ]
         for some in _from_one_side(beams):
-            rays, beside = sweep.run(some, cancel)
+            rays, beside = sweep.run(some, monitor)
             for beam, left in zip(some, rays, strict=True):
                 count = scores.let_out(beam, left, beside)
                 entered += 0.0 if glow is not None else unit * beam.share * count
@@ -274,14 +273,6 @@ def _from_one_side(beams):
             yield some[first : first + _BEAMS_AT_ONCE]
 
 
-def _sweep(device, turn, voxels, directed):
-    if device.kind == "NumPy":
-        return NumpySweep(turn, voxels, directed)
-    from .sweep_opencl import OpenclSweep  # only now: it needs pyopencl
-
-    return OpenclSweep(turn, voxels, directed, device)
-
-
 def _voxels(medium, box, band, sigma_t, glow=None):
     """The `Voxels` of a box; glow is theirs."""
     occlusion = reflecting = None
@@ -289,14 +280,6 @@ def _voxels(medium, box, band, sigma_t, glow=None):
         occlusion = box.of(medium.occlusion)
         reflecting = occlusion * box.of(medium.occlusion_albedo[band])
     return Voxels(medium.depth(sigma_t, box), glow, occlusion, reflecting)
-
-
-def _march(device, voxels):
-    if device.kind == "NumPy":
-        return NumpyMarch(voxels)
-    from .march_opencl import OpenclMarch  # only now: it needs pyopencl
-
-    return OpenclMarch(device, voxels)
 
 
 def _rays(light, medium, band, per_edge):

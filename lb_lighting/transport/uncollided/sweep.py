@@ -14,8 +14,8 @@ from math import ceil
 
 import numpy as np
 
-from ...errors import Cancelled
 from ..box import Box
+from ..monitor import UNHEARD
 from .attenuation import fade, own_place
 
 NONE, U, V, U_THEN_V, V_THEN_U = range(5)
@@ -216,7 +216,7 @@ class NumpySweep:
         """The `Tallies` of all beams."""
         return Tallies(self.score, self.toward, self.position, self.reflected, self.sums)
 
-    def run(self, beams, cancel=None):
+    def run(self, beams, monitor=UNHEARD):
         """Send beams that come from the same side.
 
         Returns ((beams, count, nu + beside, nv + beside) the weights that their rays are left
@@ -224,17 +224,16 @@ class NumpySweep:
         enter through its sides).
         """
         beside = max(beam.beside for beam in beams)
-        rays = [self._sent(beam, beside, cancel) for beam in beams]
+        rays = [self._sent(beam, beside, monitor) for beam in beams]
         return np.array(rays), beside
 
-    def _sent(self, beam, beside, cancel):
+    def _sent(self, beam, beside, monitor):
         """Send a beam; its rays as of `run`."""
         shape = (len(beam.points), beam.nu + beside, beam.nv + beside)
         rays = np.zeros(shape) if self.voxels.glow is not None else np.ones(shape)
         way_of = _Way(beam, self.voxels, self.turn)
         for layer, ways in enumerate(beam.ways()):
-            if cancel is not None and cancel():
-                raise Cancelled("Cancelled; nothing was changed.")
+            monitor.check()
             for number, way in enumerate(ways):
                 way_of.cross(rays[number], layer, way, beside)
         self._take(beam, way_of)
@@ -266,7 +265,7 @@ class NumpyGlow:
     def __init__(self, turn, depth):
         self.turn, self.depth = turn, depth
 
-    def run(self, beams, glows, cancel=None):
+    def run(self, beams, glows, monitor=UNHEARD):
         """Send beams that come from the same side through what shines: glows, one of the box for
         each, turned, in radiance a voxel's edge.
 
@@ -275,7 +274,7 @@ class NumpyGlow:
         found = np.zeros((len(beams), *self.turn.shape))
         for score, beam, glow in zip(found, beams, glows, strict=True):
             sweep = NumpySweep(self.turn, Voxels(self.depth, glow, None, None), directed=False)
-            sweep.run([beam], cancel)
+            sweep.run([beam], monitor)
             score[...] = sweep.score
         return found
 

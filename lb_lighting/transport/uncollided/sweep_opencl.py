@@ -6,13 +6,13 @@ from math import prod
 import numpy as np
 import pyopencl as cl
 
-from ...errors import Cancelled
 from ..device import (
     program,
     queue,
     upload,
     zeros,
 )
+from ..monitor import UNHEARD
 from .sweep import STOPPED, Tallies
 
 _CANCEL_EVERY = 16  # layers
@@ -40,7 +40,7 @@ class _Layers:
                 values[1:-1, *inside[1:]] = grid
         return upload(self.queue, matter), np.uint64(matter[0].size)
 
-    def _send(self, beams, matter, tallied, cancel):
+    def _send(self, beams, matter, tallied, monitor):
         """What is left of the rays of beams, and beside, as of the twin's; matter as `_bordered`
         has it, tallied are the kernel's buffers."""
         turn, beside, count = self.turn, max(b.beside for b in beams), len(beams[0].points)
@@ -49,10 +49,9 @@ class _Layers:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         buffer = cl.Buffer(self.queue.context, flags, hostbuf=rays)
         for number, layer in enumerate(self._layers(beams, matter, beside, count)):
-            if cancel is not None and number % _CANCEL_EVERY == 0:
+            if monitor.cancel is not None and number % _CANCEL_EVERY == 0:
                 self.queue.finish()  # else all layers would be asked for before the first is done
-                if cancel():
-                    raise Cancelled("Cancelled; nothing was changed.")
+                monitor.check()
             arguments, within = layer
             kernels, columns = self.kernels, turn.shape[:0:-1]
             tallies, *others = tallied
@@ -115,9 +114,9 @@ class OpenclSweep(_Layers):
         sums = (STOPPED + 1) * prod(turn.shape[1:]) if self.occluded else 1
         self.sums = zeros(self.queue, 4 * sums)
 
-    def run(self, beams, cancel=None):
+    def run(self, beams, monitor=UNHEARD):
         """As the twin's, float32."""
-        return self._send(beams, self.matter, (self.tallies, self.inside, self.sums), cancel)
+        return self._send(beams, self.matter, (self.tallies, self.inside, self.sums), monitor)
 
     def read(self):
         """As the twin's, float32."""
@@ -139,10 +138,10 @@ class OpenclGlow(_Layers):
         super().__init__(turn, True, ("EMITTING", "APART"), device)
         self.depth = depth
 
-    def run(self, beams, glows, cancel=None):
+    def run(self, beams, glows, monitor=UNHEARD):
         """As the twin's, float32."""
         matter = self._bordered([self.depth, *glows])
         tallies = zeros(self.queue, 4 * len(beams) * prod(self.turn.shape))
         nothing = zeros(self.queue, 4)
-        self._send(beams, matter, (tallies, nothing, nothing), cancel)
+        self._send(beams, matter, (tallies, nothing, nothing), monitor)
         return self._read(tallies, (len(beams), *self.turn.shape))

@@ -61,9 +61,9 @@ def lattice_on(device, medium, albedo=0.9, g=0.6):
     depth, occlusion, occlusion_albedo = medium
     if device is None:
         return NumpyLattice(depth, albedo, g, occlusion, occlusion_albedo)
-    from lb_lighting.transport.lattice.lattice_opencl import OpenCLLattice
+    from lb_lighting.transport.lattice.lattice_opencl import OpenclLattice
 
-    return OpenCLLattice(depth, albedo, g, occlusion, occlusion_albedo, device)
+    return OpenclLattice(depth, albedo, g, occlusion, occlusion_albedo, device)
 
 
 def lit(lattice, source, steps):
@@ -300,7 +300,7 @@ def test_a_lattice_starts_afresh_and_gives_the_same_bits(device):
 def test_the_plan_names_all_memory(occluded, device, monkeypatch):
     """Bytes of all buffers that a lattice, coarser ones and the read-out make."""
     cl = pytest.importorskip("pyopencl")
-    from lb_lighting.transport.lattice.lattice_opencl import OpenCLLattice
+    from lb_lighting.transport.lattice.lattice_opencl import OpenclLattice
 
     shape, made = (19, 9, 12), []
     make_buffer = cl.Buffer
@@ -308,13 +308,13 @@ def test_the_plan_names_all_memory(occluded, device, monkeypatch):
         cl, "Buffer", lambda *args, **named: made.append(make_buffer(*args, **named)) or made[-1]
     )
     depth, occlusion, albedo = patchy(shape, occluded)
-    level = Level(partial(OpenCLLattice, device=device), depth, 0.9, 0.6, occlusion, albedo)
+    level = Level(partial(OpenclLattice, device=device), depth, 0.9, 0.6, occlusion, albedo)
     source = some_source(shape)
     lit(level.lattice, replace(source, reflected=source.power), 1)
     for _ in range(2):
         level.correct()
     level.lattice.fluence()
     level.lattice.flux()
-    planned = OpenCLLattice.buffers(shape, occluded)
+    planned = OpenclLattice.buffers(shape, occluded)
     taken = sum(buffer.size for buffer in made)
     assert taken <= sum(planned.values()) <= 1.1 * taken

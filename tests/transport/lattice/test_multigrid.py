@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from lb_lighting.transport.hybrid import lattice_maker
+from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.lattice.convergence import settle
 from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import WEIGHTS
@@ -37,7 +37,9 @@ def assert_close(got, expected, relative):
 @pytest.mark.parametrize("shape", [(13, 9, 17), (8, 16, 12), (33, 1, 20)], ids=str)
 def test_kernels_correct_as_their_twin_does(shape, occluded, device):
     """On light that lies either way in memory, through two and three levels."""
-    kernel, twin = (level_on(how, shape, occluded) for how in (lattice_maker(device), NumpyLattice))
+    kernel, twin = (
+        level_on(how, shape, occluded) for how in (backend_of(device).lattice, NumpyLattice)
+    )
     for between in (0, 1, 4):
         for level in (kernel, twin):
             level.lattice.advance(between)
@@ -48,13 +50,13 @@ def test_kernels_correct_as_their_twin_does(shape, occluded, device):
 
 @pytest.mark.parametrize("device", [None, *OPENCL], ids=lambda d: name(d) if d else "NumPy")
 def test_what_a_correction_added_can_be_taken_back(device):
-    level = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
+    level = level_on(backend_of(device).lattice if device else NumpyLattice, (13, 9, 17), True)
     level.lattice.advance(2)
     plain = level.lattice.fluence()
     level.correct()
     corrected = level.lattice.fluence()
     level.take_back()
-    again = level_on(lattice_maker(device) if device else NumpyLattice, (13, 9, 17), True)
+    again = level_on(backend_of(device).lattice if device else NumpyLattice, (13, 9, 17), True)
     again.lattice.advance(4)
     assert difference(corrected, plain) > 0.1
     assert_close(level.lattice.fluence(), again.lattice.fluence(), 1e-5)

@@ -13,11 +13,11 @@ import pytest
 
 from lb_lighting.errors import DeviceError, MediumError, SettingsError, SolverError
 from lb_lighting.transport import Medium, device
+from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.photons import free_path
 from lb_lighting.transport.photons.free_path import (
     SAMPLERS,
     FreePathSampler,
-    engine,
     path_grid,
     sample_free_paths,
 )
@@ -180,7 +180,7 @@ def lowered(prepared, factor=0.9):
     bound = grid.bound and replace(grid.bound, values=grid.bound.values * np.float32(factor))
     other = copy(prepared)
     other.grid = replace(grid, bound=bound, majorant=grid.majorant * factor)
-    other.paths = engine(other.grid, prepared.device)
+    other.paths = backend_of(prepared.device).paths(other.grid)
     return other
 
 

@@ -255,7 +255,7 @@ def test_a_problem_in_several_slabs_is_the_same(monkeypatch):
         whole = linear_bound(density, 5, "linear", found).values
         with monkeypatch.context() as patch:
             patch.setattr("lb_lighting.transport.photons.majorants._SCRATCH", 1)
-            patch.setattr("lb_lighting.transport.photons.majorants._BATCH", 1)
+            patch.setattr("lb_lighting.transport.photons.majorants_numpy._BATCH", 1)
             pieces = linear_bound(density, 5, "linear", found).values
         np.testing.assert_allclose(pieces, whole, rtol=1e-5, atol=1e-5 * density.max())
 

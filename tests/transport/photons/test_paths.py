@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from lb_lighting.transport import Medium, device
-from lb_lighting.transport.photons.free_path import SAMPLERS, FreePathSampler, engine, enter
+from lb_lighting.transport.backend import backend_of
+from lb_lighting.transport.photons.free_path import SAMPLERS, FreePathSampler, enter
 from lb_lighting.transport.photons.perlin import STRONG, WEAK, PerlinMedium
 from lb_lighting.transport.photons.random import RandomStreams
 from tests.statistics import chi_square, sidak, uniform
@@ -260,7 +261,7 @@ def test_kernels_do_as_their_twin(found, sampler, name, interpolation):
     twin, origins, directions, expected = twins(name, sampler, interpolation)
     assert 0.05 < np.mean(np.isfinite(expected)) < 0.95
     kernel = copy(twin)  # bounds may differ by what makes them
-    kernel.paths = engine(twin.grid, found)
+    kernel.paths = backend_of(found).paths(twin.grid)
     tolerance = 1e-3 * twin.grid.medium.voxel_size
     assert agreement(kernel.sample(origins, directions, 5), expected, tolerance) >= 0.999
     assert agreement(kernel.sample(origins, directions, 6), expected, tolerance) < 0.9
@@ -295,7 +296,9 @@ def test_rays_stay_under_the_bounds(sampler, name, interpolation, size, kernels)
         if size > 1:  # the check can fail
             values = grid.bound.values * np.float32(LOWERED.get(name, 0.9))
             lowered = replace(grid, bound=replace(grid.bound, values=values))
-            assert follow(engine(lowered, found), inside, directions, kernels)[2].sum() > 0
+            assert (
+                follow(backend_of(found).paths(lowered), inside, directions, kernels)[2].sum() > 0
+            )
 
 
 def entering(grid, origins, directions):

@@ -34,7 +34,7 @@ def test_thin_media_start_no_lattice(quality, monkeypatch):
     def refuse(*_arguments, **_options):
         raise AssertionError("a lattice was made")
 
-    monkeypatch.setattr(hybrid, "lattice_maker", refuse)
+    monkeypatch.setattr(hybrid, "Level", refuse)
     medium = cube(depth=0.6 * TARGETS[quality])
     chosen = plan(medium, [SUN], quality)
     assert chosen.settings.scattering == "single"

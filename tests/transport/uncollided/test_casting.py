@@ -10,6 +10,7 @@ from lb_lighting.errors import Cancelled
 from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun, trace
 from lb_lighting.transport.device import devices
 from lb_lighting.transport.lights.emission import Emission
+from lb_lighting.transport.monitor import Monitor
 from lb_lighting.transport.uncollided.casting import cast
 from tests.tracing import OPENCL, Beam, assert_mean, name
 
@@ -376,7 +377,7 @@ def test_long_ways_keep_their_digits(direction, device):
 
 def test_a_cast_can_be_cancelled():
     with pytest.raises(Cancelled):
-        cast(patchy(), SUN, 0, 1.0, per_edge=2, cancel=lambda: True)
+        cast(patchy(), SUN, 0, 1.0, per_edge=2, monitor=Monitor(cancel=lambda: True))
 
 
 class Followed:
