@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.photons.majorants import constant_bound, linear_bound
+from lb_lighting.transport.photons.majorants import constant_majorants, linear_majorants
 from tests.benchmarks.table import publish
 from tests.setup import heads
 
@@ -26,7 +26,7 @@ def whole(density, size):
 
 def corner_maxima(density, size):
     """Mean of the trilinear function through the maxima of the super-voxels at each corner."""
-    corners = np.pad(constant_bound(density, size).values, 1, mode="edge")
+    corners = np.pad(constant_majorants(density, size).values, 1, mode="edge")
     for axis in range(3):
         n = corners.shape[axis]
         corners = np.maximum(corners.take(range(n - 1), axis), corners.take(range(1, n), axis))
@@ -73,11 +73,11 @@ def row(name, head, size, found):
     return {
         "head": name,
         "size": size,
-        "constant": constant_bound(density, size).mean / mean,
+        "constant": constant_majorants(density, size).mean / mean,
         "corner maxima": corner_maxima(density, size) / mean,
         "least squares + offset": least_squares(density, size) / mean,
-        "linear": linear_bound(density, size, device=found).mean / mean,
-        "linear, between centres": linear_bound(density, size, "linear", found).mean / mean,
+        "linear": linear_majorants(density, size, device=found).mean / mean,
+        "linear, between centres": linear_majorants(density, size, "linear", found).mean / mean,
     }
 
 
@@ -88,7 +88,7 @@ def main():
     rows = [row(name, volume, size, found) for name, volume in volumes.items() for size in SIZES]
     large = heads.resampled(head, BUILT_OF)
     for line in rows[: len(SIZES)]:
-        for kind, build in (("constant", constant_bound), ("linear", linear_bound)):
+        for kind, build in (("constant", constant_majorants), ("linear", linear_majorants)):
             line[f"512^3 {kind}, s"] = seconds(build, large, line["size"])
     publish("bounds", found.label, rows)
 

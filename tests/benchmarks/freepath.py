@@ -149,18 +149,18 @@ def talks_depth(march, woodcock, mean):
     return float(np.sqrt(low * high))
 
 
-def flat(bound):
-    """A constant `Bound` as a linear one. In super-voxels of 1 or 2 voxels an edge none is tighter:
-    it must reach the largest voxel at the super-voxel's middle, where a linear one has its mean."""
-    values = np.zeros((*bound.values.shape, 8), np.float32)
-    values[..., 0] = bound.values
-    return replace(bound, values=values)
+def flat(majorants):
+    """Constant `Majorants` as linear ones. In super-voxels of 1 or 2 voxels an edge none are
+    tighter: they must reach the largest voxel at the middle, where a linear one has its mean."""
+    values = np.zeros((*majorants.values.shape, 8), np.float32)
+    values[..., 0] = majorants.values
+    return replace(majorants, values=values)
 
 
 def head_grid(medium, sampler, size, found):
     if sampler == "supervoxel_linear" and size <= 2:
         grid = path_grid(medium, "supervoxel_constant", supervoxel=size)
-        return replace(grid, sampler=sampler, bound=flat(grid.bound))
+        return replace(grid, sampler=sampler, majorants=flat(grid.majorants))
     return path_grid(medium, sampler, supervoxel=size, device=found)
 
 
@@ -210,7 +210,7 @@ def fits(sampler, size, found):
 def of_head(point, cells, depths, mean):
     """The rows of one sampler, without the ratios to others."""
     grid, rows = point.grid, []
-    bound = {"ray_march": mean, "woodcock": grid.majorant}.get(grid.sampler)
+    bound = {"ray_march": mean, "woodcock": grid.global_majorant}.get(grid.sampler)
     for setting, depth in depths.items():
         speed = point.speed(per_depth_of(depth, mean))
         steps = point.steps(per_depth_of(depth, mean))
@@ -220,7 +220,7 @@ def of_head(point, cells, depths, mean):
                 "depth": depth,
                 "sampler": grid.sampler,
                 "super-voxels": cells,
-                "bound / density": (bound or grid.bound.mean) / mean,
+                "bound / density": (bound or grid.majorants.mean) / mean,
                 "million rays/s": speed.rays / 1e6,
                 **steps,
                 "ns/step": 1e9 / speed.rays / sum(steps.values()),
@@ -294,7 +294,7 @@ def of_one_noise(resolution, contrast, found):
     """The rows of one noise, without the ratios; those of ray marching and Woodcock first."""
     unit = PerlinMedium(resolution, 1.0, 0, 1, **CONTRASTS[contrast])
     mean = float(unit.voxels(64).density.mean(dtype=float))
-    largest = float(unit.constant_bound(1).values.max())
+    largest = float(unit.constant_majorants(1).values.max())
     depth = stopping_depth(unit, mean, found)
     medium = PerlinMedium(resolution, 1.0, 0, depth / mean, **CONTRASTS[contrast])
     cases = [("ray_march", None), ("woodcock", None), *((s, None) for s in SUPERVOXELS)]
@@ -316,7 +316,7 @@ def of_one_noise(resolution, contrast, found):
             "sampler": sampler,
             "super-voxels": {"ray_march": resolution, "woodcock": 1}.get(sampler, grid.cells[0]),
             "automatic": "yes" if sampler in SUPERVOXELS and size is None else "",
-            "bound / density": grid.bound.mean / mean if grid.bound else "",
+            "bound / density": grid.majorants.mean / mean if grid.majorants else "",
             "million rays/s": speed.rays / 1e6,
             **steps,
             "prepare, s": prepared,

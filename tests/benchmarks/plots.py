@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from lb_lighting.transport.photons.majorants import constant_bound, linear_bound
+from lb_lighting.transport.photons.majorants import constant_majorants, linear_majorants
 from lb_lighting.transport.photons.perlin import PerlinMedium
 from tests.benchmarks.freepath import CONTRASTS, SUPERVOXELS
 from tests.benchmarks.table import BUILD
@@ -83,7 +83,7 @@ def draw_speeds(panel, rows):
 
 
 def bound_along(bound, points):
-    """The values (n,) of a `Bound` at points (n, 3) in fine cells."""
+    """The values (n,) of a `Majorants` at points (n, 3) in fine cells."""
     cell = np.minimum((points // bound.size).astype(int), np.array(bound.values.shape[:3]) - 1)
     value = bound.values[tuple(cell.T)]
     if value.ndim == 1:
@@ -103,7 +103,7 @@ def head_panel(panel):
     nx, ny, nz = density.shape
     y, z = ny * HEAD_AT[0], nz * HEAD_AT[1]
     points = line((0, y, z), (nx, y + ny / 20, z - nz / 20))
-    bounds = [make(density, HEAD_SIZE) for make in (constant_bound, linear_bound)]
+    bounds = [make(density, HEAD_SIZE) for make in (constant_majorants, linear_majorants)]
     values = density[tuple(points.astype(int).T)]
     draw_bounds(panel, values, *(bound_along(bound, points) for bound in bounds))
     panel.set_title("a head, 16³ super-voxels", fontsize=9)
@@ -116,7 +116,7 @@ def noise_panel(panel):
     _, j, k = np.unravel_index(coarse.argmax(), coarse.shape)
     y, z = (np.array((j, k)) + 0.5) * (n / NOISE_CELLS)
     points = line((0, y, z), (n, y, z))
-    bounds = [make(NOISE_CELLS) for make in (medium.constant_bound, medium.linear_bound)]
+    bounds = [make(NOISE_CELLS) for make in (medium.constant_majorants, medium.linear_majorants)]
     values = medium.density_at(points)
     draw_bounds(panel, values, *(bound_along(bound, points) for bound in bounds))
     panel.set_title(f"noise of {n}³, {NOISE_CELLS}³ super-voxels", fontsize=9)

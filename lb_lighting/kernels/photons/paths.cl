@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel under an
-// upper bound of the density, and meets real and virtual particles. transport/photons/paths_numpy.py is
+// upper bound of the density, and meets real and virtual particles. transport/photons/walk.py is
 // its twin.
 //
 // Lengths are in fine cells. Built behind photons/random.cl with

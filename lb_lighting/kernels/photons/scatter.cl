@@ -2,7 +2,7 @@
 // What turns a path: the medium, which scatters, and opaque voxels, which stop and reflect.
 // Built behind photons/paths.cl with
 //   OCCLUSION  voxels are opaque; fine cells are the voxels then
-// transport/photons/paths_numpy.py is the twin.
+// transport/photons/walk.py is the twin.
 
 // Go to where the flight has come.
 static void arrive(Path *p, const Grid g)

@@ -10,18 +10,20 @@ it, all without bias:
     supervoxel_constant  the same under an upper bound that is constant in a super-voxel
     supervoxel_linear    under one that is trilinear in a super-voxel
 
-With one super-voxel the third is the second; with one a voxel, the first. `bounds.py` finds the
+With one super-voxel the third is the second; with one a voxel, the first. `majorants` finds the
 bounds. Ray marching is exact where the density is constant or linear in fine cells; in a
 `PerlinMedium` it takes the density in the middle of each stretch of a cell, an error of second
 order in the edge of the finest cell.
 """
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import prod
 
 import numpy as np
 
+from ...arrays import Booleans, Floats, Vector
 from ...errors import (
     MediumError,
     SettingsError,
@@ -31,7 +33,17 @@ from ...errors import (
 )
 from .. import device as devices
 from ..backend import backend_of
-from . import majorants
+from ..device import Device
+from ..medium import Medium
+from .majorants import (
+    FineGrid,
+    Majorants,
+    choose_size,
+    constant_majorants,
+    cost,
+    fine_cells,
+    linear_majorants,
+)
 from .perlin import PerlinMedium
 
 SAMPLERS = ("ray_march", "woodcock", "supervoxel_constant", "supervoxel_linear")
@@ -42,58 +54,68 @@ MOST_STEPS = 10**8  # of one path, before it is given up: a minute or so
 
 @dataclass(frozen=True)
 class PathGrid:
-    """What paths step through; lengths are in fine cells, see `bounds.py`.
+    """What paths step through; lengths are in fine cells, see `majorants`.
 
     sampler   one of SAMPLERS
     medium    the `Medium` or `PerlinMedium`
     linear    whether the density is linear between voxel centres, not constant in voxels
-    fine      majorants.FineGrid; its values are None where the density is a function
-    bound     majorants.Bound in super-voxels; None for the samplers that have none
-    majorant  an upper bound of the density everywhere, for Woodcock's sampler; else 0
+    fine      `FineGrid`; it has no values where the density is a function
+    majorants  `Majorants` of super-voxels; None for the samplers that have none
+    global_majorant  an upper bound of the density everywhere, for Woodcock's sampler; else 0
     """
 
     sampler: str
-    medium: object
+    medium: Medium | PerlinMedium
     linear: bool
-    fine: majorants.FineGrid
-    bound: majorants.Bound | None
-    majorant: float
+    fine: FineGrid
+    majorants: Majorants | None
+    global_majorant: float
 
     @property
-    def procedural(self):
+    def procedural(self) -> bool:
         return isinstance(self.medium, PerlinMedium)
 
     @property
-    def size(self):
-        """Fine cells along an edge of a super-voxel."""
-        return 1 if self.bound is None else self.bound.size
+    def noise(self) -> PerlinMedium:
+        """The medium of a procedural grid."""
+        assert isinstance(self.medium, PerlinMedium)
+        return self.medium
 
     @property
-    def cells(self):
+    def size(self) -> int:
+        """Fine cells along an edge of a super-voxel."""
+        return 1 if self.majorants is None else self.majorants.size
+
+    @property
+    def cells(self) -> tuple[int, ...]:
         """(3,) super-voxels."""
         return tuple(-(-n // self.size) for n in self.fine.shape)
 
     @property
-    def polynomial(self):
+    def polynomial(self) -> bool:
         """Whether the bound is trilinear in a super-voxel; that of a linear fine cell is."""
         if self.sampler == "ray_march":
             return self.linear
         return self.sampler == "supervoxel_linear"
 
-    def fine_from_world(self, points):
+    def fine_from_world(self, points: Floats | Vector) -> Floats:
         """Points (..., 3) in m -> coordinates in fine cells, float64."""
         medium = self.medium
         return (np.asarray(points, float) - medium.origin) / medium.voxel_size + self.fine.lower
 
-    def per_depth(self, band):
+    def per_depth(self, band: int) -> float:
         """Density times fine cells in an optical depth of 1; infinite in a vacuum."""
         scale = float(self.medium.sigma_t[band]) * self.medium.voxel_size
         return 1 / scale if scale > 1e-37 else np.inf
 
 
 def path_grid(
-    medium, sampler="supervoxel_linear", interpolation="constant", supervoxel=None, device=None
-):
+    medium: Medium | PerlinMedium,
+    sampler: str = "supervoxel_linear",
+    interpolation: str = "constant",
+    supervoxel: int | None = None,
+    device: Device | str | None = None,
+) -> PathGrid:
     """The `PathGrid` of a medium.
 
     interpolation  of a Medium's density: "constant" in voxels, or "linear" between their centres
@@ -104,59 +126,68 @@ def path_grid(
     require_known(sampler, SAMPLERS, "sampler")
     if supervoxel is not None:
         require_whole(supervoxel, "super-voxel's edge in fine cells", 1, 2**31 - 1)
-    make = _of_noise if isinstance(medium, PerlinMedium) else _of_voxels
-    return make(medium, sampler, interpolation, supervoxel, device)
+    if isinstance(medium, PerlinMedium):
+        return _of_noise(medium, sampler, supervoxel)
+    return _of_voxels(medium, sampler, interpolation, supervoxel, device)
 
 
-def _of_voxels(medium, sampler, interpolation, supervoxel, device):
-    fine = majorants.fine_cells(medium.density, interpolation)
+def _of_voxels(
+    medium: Medium,
+    sampler: str,
+    interpolation: str,
+    supervoxel: int | None,
+    device: Device | str | None,
+) -> PathGrid:
+    fine = fine_cells(medium.density, interpolation)
     if fine.values.size > _MOST_VALUES:
         raise MediumError(
             f"The samplers take {_MOST_VALUES} voxels at most, and the medium has "
             f"{medium.density.size}; lower its resolution."
         )
-    bound = None
+    majorants = None
     if sampler.startswith("supervoxel"):
         kind = sampler.removeprefix("supervoxel_")
         depth = float(medium.sigma_t.max()) * medium.voxel_size
-        size = supervoxel or majorants.choose_size(medium.density, depth, kind, interpolation)
+        size = supervoxel or choose_size(medium.density, depth, kind, interpolation)
         size = min(size, max(fine.shape))
         if kind == "constant":
-            bound = majorants.constant_bound(medium.density, size, interpolation)
+            majorants = constant_majorants(medium.density, size, interpolation)
         else:
-            bound = majorants.linear_bound(medium.density, size, interpolation, device)
-    majorant = 0.0
+            majorants = linear_majorants(medium.density, size, interpolation, device)
+    largest = 0.0
     if sampler == "woodcock":
-        whole = majorants.constant_bound(medium.density, max(fine.shape), interpolation)
-        majorant = float(whole.values.max())
-    return PathGrid(sampler, medium, interpolation == "linear", fine, bound, majorant)
+        whole = constant_majorants(medium.density, max(fine.shape), interpolation)
+        largest = float(whole.values.max())
+    return PathGrid(sampler, medium, interpolation == "linear", fine, majorants, largest)
 
 
-def _of_noise(medium, sampler, interpolation, supervoxel, device):
-    """Noise is linear in its finest cells, whatever `interpolation`; its bounds take no device."""
+def _of_noise(medium: PerlinMedium, sampler: str, supervoxel: int | None) -> PathGrid:
+    """The grid of noise, which is linear in its finest cells."""
     n = medium.resolution
-    fine = majorants.FineGrid(None, (n, n, n), 0.0, (float(n),) * 3)
-    bound = None
+    fine = FineGrid(np.empty((0, 0, 0), np.float32), (n, n, n), 0.0, (float(n),) * 3)
+    majorants = None
     if supervoxel is not None and n % supervoxel:
         raise SettingsError(
             f"Super-voxels of {supervoxel} cells do not fill {n} of them; use a power of two."
         )
     if sampler.startswith("supervoxel"):
         kind = sampler.removeprefix("supervoxel_")
-        make = medium.linear_bound if kind == "linear" else medium.constant_bound
-        bound = make(n // supervoxel) if supervoxel else _cheapest_bound(medium, kind, make)
-    majorant = float(medium.constant_bound(1).values.max()) if sampler == "woodcock" else 0.0
-    return PathGrid(sampler, medium, False, fine, bound, majorant)
+        make = medium.linear_majorants if kind == "linear" else medium.constant_majorants
+        majorants = make(n // supervoxel) if supervoxel else _cheapest_majorants(medium, kind, make)
+    largest = float(medium.constant_majorants(1).values.max()) if sampler == "woodcock" else 0.0
+    return PathGrid(sampler, medium, False, fine, majorants, largest)
 
 
-def _cheapest_bound(medium, kind, make):
+def _cheapest_majorants(
+    medium: PerlinMedium, kind: str, make: Callable[[int], Majorants]
+) -> Majorants:
     """The bound of a PerlinMedium under which the sampler is fastest; make(cells) makes one."""
     depth = float(medium.sigma_t.max()) * medium.voxel_size
     made, cells = [], medium.coarsest
     while cells <= min(_MOST_CELLS, medium.resolution):
         made.append(make(cells))
         cells *= 2
-    return min(made, key=lambda bound: majorants.cost(kind, bound.size, depth * bound.mean))
+    return min(made, key=lambda candidate: cost(kind, candidate.size, depth * candidate.mean))
 
 
 class FreePathSampler:
@@ -167,15 +198,15 @@ class FreePathSampler:
 
     def __init__(
         self,
-        medium,
-        sampler="supervoxel_linear",
-        device=None,
+        medium: Medium | PerlinMedium,
+        sampler: str = "supervoxel_linear",
+        device: Device | str | None = None,
         *,
-        band=0,
-        interpolation="constant",
-        supervoxel=None,
-        most_steps=MOST_STEPS,
-    ):
+        band: int = 0,
+        interpolation: str = "constant",
+        supervoxel: int | None = None,
+        most_steps: int = MOST_STEPS,
+    ) -> None:
         if not 0 <= band < medium.bands:
             raise SettingsError(f"The medium has no band {band}; it has {medium.bands}.")
         self.device = devices.choose(device)
@@ -185,11 +216,11 @@ class FreePathSampler:
         self.paths = backend_of(self.device).paths(self.grid)
         self.band, self.most_steps = band, most_steps
 
-    def sample(self, origins, directions, seed=0):
+    def sample(self, origins: Floats, directions: Floats, seed: int = 0) -> Floats:
         """(n,) m: distances, as `sample_free_paths` returns them."""
         return self.count(origins, directions, seed)[0]
 
-    def count(self, origins, directions, seed=0):
+    def count(self, origins: Floats, directions: Floats, seed: int = 0) -> tuple[Floats, int]:
         """(what `sample` returns, how many particles, real and virtual, these rays met)."""
         require_whole(seed, "seed", 0, 2**32 - 1)
         origins, directions = check_rays(origins, directions)
@@ -216,23 +247,23 @@ class FreePathSampler:
         return distances, particles
 
 
-def _plan(shape, medium):
+def _plan(shape: tuple[int, ...], medium: Medium | PerlinMedium) -> tuple[dict[str, int], int]:
     """({what: bytes} on the device, bytes on the host): at least the density must fit."""
     return {"density": 0 if isinstance(medium, PerlinMedium) else 4 * prod(shape)}, 0
 
 
 def sample_free_paths(
-    medium,
-    origins,
-    directions,
-    sampler="supervoxel_linear",
-    seed=0,
-    device=None,
+    medium: Medium | PerlinMedium,
+    origins: Floats,
+    directions: Floats,
+    sampler: str = "supervoxel_linear",
+    seed: int = 0,
+    device: Device | str | None = None,
     *,
-    band=0,
-    interpolation="constant",
-    supervoxel=None,
-):
+    band: int = 0,
+    interpolation: str = "constant",
+    supervoxel: int | None = None,
+) -> Floats:
     """How far photons fly until they collide.
 
     medium         `Medium` or `PerlinMedium`; outside is vacuum
@@ -255,7 +286,7 @@ def sample_free_paths(
     return prepared.sample(origins, directions, seed)
 
 
-def check_rays(origins, directions):
+def check_rays(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
     """Both as (n, 3) float64, the directions of length 1, or SettingsError."""
     origins, directions = np.asarray(origins, float), np.asarray(directions, float)
     if origins.ndim != 2 or origins.shape[1] != 3 or origins.shape != directions.shape:
@@ -273,7 +304,7 @@ def check_rays(origins, directions):
     return origins, directions / lengths
 
 
-def enter(grid, origins, directions):
+def enter(grid: PathGrid, origins: Floats, directions: Floats) -> tuple[Floats, Floats, Booleans]:
     """Where rays enter the domain: (start, points, hit).
 
     start   (n,) fine cells from the origin to the domain, 0 inside it
@@ -298,7 +329,7 @@ def enter(grid, origins, directions):
     return start, points, hit
 
 
-def refuse_violations(violations):
+def refuse_violations(violations: int) -> None:
     if violations:
         raise SolverError(
             f"In {violations} paths the density was over its upper bound, so they are biased; "

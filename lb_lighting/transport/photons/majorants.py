@@ -6,18 +6,21 @@ is constant in them, the boxes between voxel centres where it is linear between 
 super-voxel is a cube of `size` fine cells an edge; cell (i, j, k) begins at (i, j, k) * size.
 
 The linear bound of a super-voxel is the trilinear function of the least mean that is nowhere
-below the density. Bound minus density is trilinear in a fine cell, so it is least at a corner,
+below the density. Majorants minus density is trilinear in a fine cell, so it is least at a corner,
 and it is enough to demand the bound at the nodes: a linear program in the 8 values that the
 bound has at the super-voxel's corners.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import Floats, Integers
 from ...errors import SettingsError, require_known
 from .. import device as devices
 from ..backend import backend_of
+from ..device import Device
 
 INTERPOLATIONS = ("constant", "linear")
 KINDS = ("constant", "linear")
@@ -58,20 +61,21 @@ LINEAR_EXCESS = 0.6
 class FineGrid:
     """A density as the samplers see it.
 
-    values  float32, C order: voxels, or nodes where node i lies at coordinate i
+    values  float32, C order: voxels, or nodes where node i lies at coordinate i; none where the
+            density is a function
     shape   (3,) fine cells
     lower   coordinate at which the domain begins, on each axis
     upper   (3,) coordinates at which it ends
     """
 
-    values: np.ndarray
-    shape: tuple
+    values: Floats
+    shape: tuple[int, ...]
     lower: float
-    upper: tuple
+    upper: tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Bound:
+class Majorants:
     """An upper bound of the density, as float32 computes both.
 
     size    fine cells along an edge of a super-voxel
@@ -82,11 +86,11 @@ class Bound:
     """
 
     size: int
-    values: np.ndarray
+    values: Floats
     mean: float
 
 
-def fine_cells(density, interpolation="constant"):
+def fine_cells(density: Floats, interpolation: str = "constant") -> FineGrid:
     """The `FineGrid` of a density (nx, ny, nz).
 
     "constant" is constant in each voxel. "linear" is trilinear between the voxels' centres and
@@ -102,18 +106,20 @@ def fine_cells(density, interpolation="constant"):
     return FineGrid(nodes, tuple(n + 1 for n in density.shape), 0.5, upper)
 
 
-def constant_bound(density, size, interpolation="constant"):
-    """The `Bound` by the maximum density of each super-voxel; SettingsError for a size below 1."""
+def constant_majorants(density: Floats, size: int, interpolation: str = "constant") -> Majorants:
+    """The maximum density of each super-voxel. SettingsError for a size below 1."""
     grid = fine_cells(density, interpolation)
     _require_size(size)
     values = _block_maxima(grid.values, grid.shape, size)
     if interpolation == "linear":  # interpolating rounds, a voxel's own value does not
         values = (values * (1 + _MARGIN)).astype(np.float32)
-    return Bound(size, values, _mean(values[..., None], _TERMS[:1], grid, size))
+    return Majorants(size, values, _mean(values[..., None], _TERMS[:1], grid, size))
 
 
-def linear_bound(density, size, interpolation="constant", device=None):
-    """The `Bound` by the least trilinear function in each super-voxel.
+def linear_majorants(
+    density: Floats, size: int, interpolation: str = "constant", device: Device | str | None = None
+) -> Majorants:
+    """The `Majorants` by the least trilinear function in each super-voxel.
 
     It is at most 0.1 % above the least mean that is possible (up to 32 fine cells an edge; beyond,
     it bounds the maxima of small blocks), and in no super-voxel looser than the constant bound.
@@ -129,20 +135,22 @@ def linear_bound(density, size, interpolation="constant", device=None):
         blocks = _block_maxima(grid.values, grid.shape, merged)
         problem = Problem(blocks, blocks.shape, size // merged, True)
     values = np.empty((*problem.cells, 8), np.float32)
-    constant = constant_bound(density, size, interpolation).values
+    constant = constant_majorants(density, size, interpolation).values
     backend = backend_of(devices.choose(device))
     for layers, slab in problem.slabs():
         corners = backend.least_corners(slab)
         values[layers] = _polynomials(corners, constant[layers], slab, interpolation)
-    return Bound(size, values, _mean(values, _TERMS, grid, size))
+    return Majorants(size, values, _mean(values, _TERMS, grid, size))
 
 
-def sizes(shape):
+def sizes(shape: Sequence[int]) -> list[int]:
     """The sizes to choose from for so many fine cells: 1, 2, 4, ... up to the whole domain."""
     return [2**power for power in range((max(shape) - 1).bit_length() + 1)]
 
 
-def choose_size(density, depth_per_density, kind, interpolation="constant"):
+def choose_size(
+    density: Floats, depth_per_density: float, kind: str, interpolation: str = "constant"
+) -> int:
     """The size of super-voxels that makes tracing cheapest.
 
     depth_per_density  optical depth of one fine cell at density 1
@@ -162,10 +170,10 @@ def choose_size(density, depth_per_density, kind, interpolation="constant"):
         if kind == "linear" and (size > 2 or interpolation == "linear"):
             bound = mean + LINEAR_EXCESS * (bound - mean)
         costs[size] = cost(kind, size, depth_per_density * bound)
-    return min(costs, key=costs.get)
+    return min(costs, key=lambda size: costs[size])
 
 
-def cost(kind, size, depth):
+def cost(kind: str, size: int, depth: float) -> float:
     """What tracing costs for each fine cell of a path's length, in tentative collisions.
 
     depth  optical depth of a fine cell under the mean bound
@@ -175,18 +183,18 @@ def cost(kind, size, depth):
     return CELL_COST[kind] * 1.5 / size + depth
 
 
-def _require_size(size):
+def _require_size(size: int) -> None:
     if size < 1:
         raise SettingsError(f"A super-voxel must have 1 fine cell or more an edge, not {size}.")
 
 
-def _merged(size, longest):
+def _merged(size: int, longest: int) -> int:
     """Fine cells an edge of the blocks that a linear program of few enough nodes can tell apart."""
     extent = min(size, longest)
     return next(n for n in range(1, size + 1) if size % n == 0 and extent <= n * _FINEST)
 
 
-def _block_maxima(values, fine, size):
+def _block_maxima(values: Floats, fine: Sequence[int], size: int) -> Floats:
     """(mx, my, mz): the largest of `values` in each cube of `size` of the `fine` cells (3,).
 
     `values` are one a cell, or nodes, one more along each axis; cubes share those on their faces.
@@ -205,7 +213,7 @@ def _block_maxima(values, fine, size):
     return values
 
 
-def _mean(values, terms, grid, size):
+def _mean(values: Floats, terms: Integers, grid: FineGrid, size: int) -> float:
     """The mean over the domain of polynomials (mx, my, mz, terms).
 
     The mean of a multilinear function over a box is its value at the centre.
@@ -234,25 +242,25 @@ class Problem:
              super-voxel has
     """
 
-    values: np.ndarray
-    fine: tuple
+    values: Floats
+    fine: tuple[int, ...]
     size: int
     blocky: bool
 
     @property
-    def cells(self):
+    def cells(self) -> tuple[int, ...]:
         return tuple(-(-n // self.size) for n in self.fine)
 
     @property
-    def nodes(self):
+    def nodes(self) -> tuple[int, ...]:
         """(3,) the most nodes that a super-voxel has along each axis."""
         return tuple(min(self.size, n) + 1 for n in self.fine)
 
-    def extents(self, axis):
+    def extents(self, axis: int) -> Integers:
         """(cells,) fine cells that each super-voxel really has along an axis."""
         return np.minimum(self.size, self.fine[axis] - np.arange(self.cells[axis]) * self.size)
 
-    def slabs(self):
+    def slabs(self) -> Iterator[tuple[slice, "Problem"]]:
         """(slice of layers, `Problem`) of as many layers along x as fit into the scratch."""
         layer = 4 * int(np.prod(self.nodes)) * self.cells[1] * self.cells[2]
         step = max(1, _SCRATCH // layer)
@@ -264,7 +272,7 @@ class Problem:
             yield slice(first, last), slab
 
 
-def _polynomials(corners, constant, problem, interpolation):
+def _polynomials(corners: Floats, constant: Floats, problem: Problem, interpolation: str) -> Floats:
     """(mx, my, mz, 8) float32 coefficients from the corner values of what each super-voxel has.
 
     Where that is no better than the constant bound (mx, my, mz), it becomes the constant bound.

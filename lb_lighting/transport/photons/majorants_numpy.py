@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The least linear majorants in NumPy float64: the twin of kernels/photons/majorants.cl."""
 
+from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
+
+from ...arrays import Floats, Integers
+from .majorants import Problem
 
 # The linear program stops this close to its optimum, as a share of the bound's mean, or after
 # so many exchanges; a head volume takes 12 on average and 50 at most.
@@ -14,7 +19,7 @@ SMALLEST_PIVOT = 1e-4  # of an exchange; float32 turns smaller ones into noise
 _BATCH = 2**20  # node values at a time
 
 
-def least_corners(problem):
+def least_corners(problem: Problem) -> Floats:
     """Corner values (mx, my, mz, 8) of the least majorants of a `majorants.Problem`."""
     corners = np.empty((*problem.cells, 8))
     for alike in product(*(_alike(problem, axis) for axis in range(3))):
@@ -30,14 +35,14 @@ def least_corners(problem):
     return corners
 
 
-def _alike(problem, axis):
+def _alike(problem: Problem, axis: int) -> list[tuple[Integers, int]]:
     """[(super-voxels, fine cells they have)] along an axis: the whole ones, then the cut one."""
     whole, rest = divmod(problem.fine[axis], problem.size)
     alike = [(np.arange(whole), problem.size), (np.array([whole]), rest)]
     return [(cells, extent) for cells, extent in alike if len(cells) and extent]
 
 
-def _node_values(problem, cells, extents):
+def _node_values(problem: Problem, cells: Sequence[Integers], extents: Sequence[int]) -> Floats:
     """(cells, nodes) of the super-voxels at `cells`, a triple of indices; z fastest in both."""
     values = problem.values
     for axis, (index, extent) in enumerate(zip(cells, extents, strict=True)):
@@ -56,13 +61,13 @@ def _node_values(problem, cells, extents):
     return values.reshape(int(np.prod(split[::2])), -1)
 
 
-def _corner_weights(extents):
+def _corner_weights(extents: Sequence[int]) -> Floats:
     """(nodes, 8): the share of each corner in a trilinear function at each node."""
     x, y, z = (np.stack([1 - t, t]) for t in (np.arange(e + 1) / e for e in extents))
     return np.einsum("ai,bj,ck->ijkabc", x, y, z).reshape(-1, 8)
 
 
-def _least_corners(nodes, weights):
+def _least_corners(nodes: Floats, weights: Floats) -> Floats:
     """(cells, 8): corner values of the least trilinear functions above `nodes` (cells, nodes).
 
     The dual simplex method. Each cell has 8 nodes at which its function touches, at first the
@@ -89,9 +94,8 @@ def _least_corners(nodes, weights):
         on = excess > TOLERANCE * mean
         if not on.any():
             break
-        going, nodes, corners, inverse, share, excess, worst = (
-            a[on] for a in (going, nodes, corners, inverse, share, excess, worst)
-        )
+        state: list[Any] = [going, nodes, corners, inverse, share, excess, worst]
+        going, nodes, corners, inverse, share, excess, worst = (values[on] for values in state)
         entering = np.einsum("ci,cik->ck", weights[worst], inverse)
         usable = entering > SMALLEST_PIVOT  # some are: they sum to 1
         ratio = np.where(usable, share / np.where(usable, entering, 1), np.inf)

@@ -2,16 +2,23 @@
 """Paths on an OpenCL device: kernels/photons/paths.cl with photons/free_path.cl or
 photons/photons.cl."""
 
+from collections.abc import Iterable
 from functools import cache
 from math import prod
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
-from ..device import context, program, queue
+from ...arrays import Array, Floats, Integers
+from ..device import Device, context, program, queue
+from .free_path import PathGrid
 from .tallies import (
     SUMS,
     UNIT,
+    Opaque,
+    Tallies,
+    Wanted,
     in_weights,
     kinds,
 )
@@ -23,13 +30,15 @@ _GROUPS_A_UNIT = 16  # so that compute units that are done early find more
 class OpenclPaths:
     """Paths through one `PathGrid` on a device; `NumpyPaths` does the same."""
 
-    def __init__(self, grid, device):
+    def __init__(self, grid: PathGrid, device: Device) -> None:
         self.grid, self.device = grid, device
         self.context, self.queue = context(device), queue(device)
         self.items = self.queue.device.max_compute_units * _GROUPS_A_UNIT * GROUP
         self.arguments = self._grid_arguments()
 
-    def free_paths(self, rays, indices, per_depth, seed, most_steps):
+    def free_paths(
+        self, rays: Floats, indices: Integers, per_depth: float, seed: int, most_steps: int
+    ) -> tuple[Floats, int, int]:
         """((n,) fine cells to the first real collision, particles met, bounds that were violated).
 
         rays     (6, n) float32: origins in the domain, in fine cells, and unit directions
@@ -53,7 +62,14 @@ class OpenclPaths:
         particles, violations = (int(self.read(b, np.int32).sum()) for b in (met, flaws))
         return distances, particles, violations
 
-    def start_tallies(self, shape, lower, per_cell, wanted, opaque):
+    def start_tallies(
+        self,
+        shape: tuple[int, ...],
+        lower: float,
+        per_cell: float,
+        wanted: Wanted,
+        opaque: Opaque | None,
+    ) -> None:
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
 
         wanted  whether these are: (direct, flux, handed)
@@ -61,13 +77,19 @@ class OpenclPaths:
         """
         direct, flux, _ = wanted
         self.tally_shape, self.kinds = shape, kinds(*wanted)
-        self.tally_arguments = (*map(np.int32, shape), np.float32(lower), np.float32(per_cell))
+        self.tally_arguments: tuple[Any, ...] = (
+            *map(np.int32, shape),
+            np.float32(lower),
+            np.float32(per_cell),
+        )
         defines = {"KEEP_DIRECT": direct, "KEEP_FLUX": flux, "OCCLUSION": opaque is not None}
         self.photons = self.program(
             *("photons/scatter.cl", "photons/photons.cl"),
             defined=tuple(name for name, on in defines.items() if on),
         )
-        self.opaque = [self.output(4)] * 2 if opaque is None else [*map(self.upload, opaque)]
+        self.opaque: list[Any] = (
+            [self.output(4)] * 2 if opaque is None else [*map(self.upload, opaque)]
+        )
         # Two words a tally; and OpenCL has no empty buffers.
         self.tallies = [self._zeros(max(8 * prod(shape) * n, 8)) for n in self.kinds]
         self.before = self._zeros(8 * prod(shape))
@@ -75,8 +97,17 @@ class OpenclPaths:
         self.sums = self._zeros(8 * SUMS * self.items)
 
     def trace_photons(
-        self, photons, copies, first, per_depth, seed, most_steps, optics, spacing, last
-    ):
+        self,
+        photons: Floats,
+        copies: int,
+        first: int,
+        per_depth: float,
+        seed: int,
+        most_steps: int,
+        optics: tuple[float, float],
+        spacing: float,
+        last: int,
+    ) -> None:
         """Trace photons into the tallies.
 
         photons  (7, n) float32: as `rays` of free_paths, and weights from 0 to HEAVIEST
@@ -97,25 +128,24 @@ class OpenclPaths:
         )
         self.queue.finish()
 
-    def take_batch(self, batch):
+    def take_batch(self, batch: int) -> None:
         """Tell that batch number `batch`, from 1 on, is complete."""
         kernel(self.photons, "take_batch")(
             *(self.queue, (prod(self.tally_shape),), None, self.tallies[1], np.int32(batch)),
             *(self.before, self.deviation),
         )
 
-    def read_tallies(self):
-        """(direct, scattered, handed, deviation, sums) of all batches, as weights.
-
-        The first three are (voxels, tallies). deviation (voxels,) adds up the squared deviations
-        of the batches' scattered weight from its mean. sums is (SUMS,) float64.
-        """
-        tallies = (self._weights(*pair) for pair in zip(self.tallies, self.kinds, strict=True))
+    def read_tallies(self) -> Tallies:
+        """The `Tallies` of all batches."""
+        direct, scattered, handed = (
+            self._weights(tally, kinds)
+            for tally, kinds in zip(self.tallies, self.kinds, strict=True)
+        )
         deviation = self.read(self.deviation, np.float32)
         sums = self.read(self.sums, np.int64).reshape(-1, SUMS).sum(axis=0)
-        return *tallies, deviation, in_weights(sums)
+        return Tallies(direct, scattered, handed, deviation, in_weights(sums))
 
-    def _weights(self, tally, kinds):
+    def _weights(self, tally: cl.Buffer, kinds: int) -> Floats:
         """(voxels, kinds) float32 of the two words of each tally."""
         voxels = prod(self.tally_shape)
         if not kinds:
@@ -125,12 +155,12 @@ class OpenclPaths:
         weights += lower * np.float32(1 / UNIT)
         return weights
 
-    def read(self, buffer, kind):
+    def read(self, buffer: cl.Buffer, kind: type[np.generic]) -> Array:
         values = np.empty(buffer.size // np.dtype(kind).itemsize, kind)
         cl.enqueue_copy(self.queue, values, buffer)
         return values
 
-    def program(self, *kernels, defined=()):
+    def program(self, *kernels: str, defined: Iterable[str] = ()) -> cl.Program:
         """The program of files in kernels/ for this grid."""
         grid = self.grid
         noise = ["photons/perlin.cl"] if grid.procedural else []
@@ -147,43 +177,39 @@ class OpenclPaths:
             (*(name for name, on in defines.items() if on), *defined),
         )
 
-    def _grid_arguments(self):
+    def _grid_arguments(self) -> tuple[Any, ...]:
         """GRID_PARAMETERS of kernels/photons/paths.cl but for the last, per_depth."""
         grid, fine = self.grid, self.grid.fine
-        if grid.procedural:
-            medium = grid.medium.device_arguments
-            density = None
-        else:
-            density = self.upload(fine.values)
-            medium = (density,)
+        density = None if grid.procedural else self.upload(fine.values)
+        medium: tuple[Any, ...] = (density,) if density else grid.noise.device_arguments
         # Ray marching takes the density itself for a bound; noise has none, and needs none.
-        bound = density if grid.bound is None else self.upload(grid.bound.values)
+        bound = density if grid.majorants is None else self.upload(grid.majorants.values)
         return (
             *medium,
             bound or self.output(4),
             *map(np.int32, (*fine.shape, *grid.cells, grid.size)),
-            *map(np.float32, (fine.lower, *fine.upper, grid.majorant)),
+            *map(np.float32, (fine.lower, *fine.upper, grid.global_majorant)),
         )
 
-    def upload(self, values):
+    def upload(self, values: Array) -> cl.Buffer:
         """A buffer of `values`; the array itself where the device shares the memory."""
         flags = cl.mem_flags
         keep = flags.USE_HOST_PTR if self.device.shares_memory else flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags.READ_ONLY | keep, hostbuf=values)
 
-    def output(self, size):
+    def output(self, size: int) -> cl.Buffer:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
-    def _zeros(self, size):
+    def _zeros(self, size: int) -> cl.Buffer:
         buffer = self.output(size)
         self._clear(buffer)
         return buffer
 
-    def _clear(self, buffer):
+    def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.uint32(0), 0, buffer.size)
 
 
 @cache
-def kernel(program, name):
+def kernel(program: cl.Program, name: str) -> cl.Kernel:
     """A kernel of a program, kept: to make one takes as long as to trace a thousand photons."""
     return cl.Kernel(program, name)

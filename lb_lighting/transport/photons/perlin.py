@@ -17,9 +17,11 @@ kernels/photons/perlin.cl has the same noise for devices.
 """
 
 from math import floor, log2
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Floats, Integers, Spectrum, Vector
 from ...errors import MediumError, require_whole
 from ..medium import (
     LARGEST,
@@ -27,7 +29,7 @@ from ..medium import (
     Medium,
     optics_by_band,
 )
-from .majorants import Bound
+from .majorants import Majorants
 from .random import mix_bits
 
 FINEST = 2**15
@@ -85,19 +87,19 @@ class PerlinMedium:
 
     def __init__(
         self,
-        resolution,
-        size,
-        sigma_s,
-        sigma_a,
-        g=0.0,
-        origin=(0, 0, 0),
-        cutoff=0.0,
-        power=1.0,
-        persistence=0.5,
-        coarsest=4,
-        seed=0,
-        time=0.0,
-    ):
+        resolution: int,
+        size: float,
+        sigma_s: Spectrum,
+        sigma_a: Spectrum,
+        g: Spectrum = 0.0,
+        origin: Vector = (0, 0, 0),
+        cutoff: float = 0.0,
+        power: float = 1.0,
+        persistence: float = 0.5,
+        coarsest: int = 4,
+        seed: int = 0,
+        time: float = 0.0,
+    ) -> None:
         self.coarsest = _whole(coarsest, "coarsest lattice", 1, FINEST)
         self.resolution = _whole(resolution, "resolution", self.coarsest, FINEST)
         self.octaves = self._octave(self.resolution, "resolution") + 1
@@ -117,51 +119,53 @@ class PerlinMedium:
         self.sigma_s, self.sigma_a, self.g = optics_by_band(sigma_s, sigma_a, g)
 
     bands, sigma_t, albedo = Medium.bands, Medium.sigma_t, Medium.albedo
+    emission = occlusion = occlusion_albedo = shift = None  # noise neither shines nor is opaque
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int, int]:
         return (self.resolution,) * 3
 
     @property
-    def voxel_size(self):
+    def voxel_size(self) -> float:
         """m, the edge of a cell of the finest lattice."""
         return self.size / self.resolution
 
     @property
-    def domain(self):
+    def domain(self) -> Domain:
         return Domain(self.origin, self.voxel_size, self.shape)
 
     @property
-    def amplitudes(self):
+    def amplitudes(self) -> Floats:
         """(octaves,), from the coarsest to the finest; they sum to 1."""
         relative = self.persistence ** np.arange(self.octaves)
         return relative / relative.sum()
 
-    def lattice(self, octave):
+    def lattice(self, octave: int) -> Floats:
         """(n + 1, n + 1, n + 1) float64 in [0, 1): an octave at the points of its lattice."""
         index = np.arange(self.coarsest * 2**octave + 1, dtype=np.uint32)
         x, y, z = index[:, None, None] * _X, index[:, None] * _Y, index * _Z
         keys = self._keys(octave)
-        return sum(share * _value(mix_bits(mix_bits(key ^ x) ^ y) ^ z) for share, key in keys)
+        values = (share * _value(mix_bits(mix_bits(key ^ x) ^ y) ^ z) for share, key in keys)
+        return sum(values, np.zeros(()))
 
-    def noise(self, x, y, z):
+    def noise(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """float64 in [0, 1) at coordinates that broadcast, in cells of the finest lattice.
 
         The coordinates are arrays of one dimension or more, with values from 0 to N.
         """
-        noise = 0
+        noise: Any = 0
         for octave, amplitude in enumerate(self.amplitudes):
             edge = 2 ** (self.octaves - 1 - octave)
             for share, key in self._keys(octave):
                 noise = noise + amplitude * share * _trilinear(key, x / edge, y / edge, z / edge)
         return noise
 
-    def density_at(self, points):
+    def density_at(self, points: Floats) -> Floats:
         """(...) float64 in [0, 1] at points (..., 3) in cells of the finest lattice, 0 to N."""
         points = np.asarray(points, float)
         return self._density(self.noise(*points.reshape(-1, 3).T)).reshape(points.shape[:-1])
 
-    def voxels(self, resolution):
+    def voxels(self, resolution: int) -> Medium:
         """The `Medium` of resolution^3 voxels with the density at their centres."""
         centers = (np.arange(resolution) + 0.5) * (self.resolution / resolution)
         density = np.empty((resolution,) * 3, np.float32)
@@ -171,16 +175,16 @@ class PerlinMedium:
             density, self.size / resolution, self.sigma_s, self.sigma_a, self.g, self.origin
         )
 
-    def constant_bound(self, cells):
-        """The `Bound` with one value in each of cells^3 super-voxels.
+    def constant_majorants(self, cells: int) -> Majorants:
+        """The `Majorants` with one value in each of cells^3 super-voxels.
 
         cells  coarsest * 2^k, at most N; or 1, for the global maximum
         """
         values = _largest(self._corners(cells)) * (1 + _BOUND_MARGIN)
-        return Bound(self.resolution // cells, values.astype(np.float32), float(values.mean()))
+        return Majorants(self.resolution // cells, values.astype(np.float32), float(values.mean()))
 
-    def linear_bound(self, cells):
-        """The `Bound` with a trilinear function in each of cells^3 super-voxels.
+    def linear_majorants(self, cells: int) -> Majorants:
+        """The `Majorants` with a trilinear function in each of cells^3 super-voxels.
 
         cells  coarsest * 2^k, at most N; or 1, for the global maximum
         """
@@ -193,10 +197,10 @@ class PerlinMedium:
                 coefficient = coefficient + _BOUND_MARGIN * _largest(corners)
             values[..., n] = coefficient
             mean += coefficient.mean() / 2 ** sum(term)
-        return Bound(self.resolution // cells, values, float(mean))
+        return Majorants(self.resolution // cells, values, float(mean))
 
     @property
-    def device_arguments(self):
+    def device_arguments(self) -> tuple[np.generic, ...]:
         """The values of PERLIN_PARAMETERS of kernels/photons/perlin.cl, in their order."""
         return (
             np.uint32(self.seed),
@@ -209,7 +213,7 @@ class PerlinMedium:
             np.float32(self.power),
         )
 
-    def _octave(self, cells, what):
+    def _octave(self, cells: int, what: str) -> int:
         """The octave whose lattice has so many cells along an edge; MediumError if none has."""
         octave = round(log2(cells / self.coarsest))
         if cells != self.coarsest * 2**octave:
@@ -219,7 +223,7 @@ class PerlinMedium:
             )
         return octave
 
-    def _keys(self, octave):
+    def _keys(self, octave: int) -> list[tuple[float, Integers]]:
         """[(share, key)]: what an octave is hashed with in the frames around `time`."""
         frame, later = floor(self.time), self.time % 1
         octave_key = mix_bits(_words(self.seed ^ (octave + 1) * _OCTAVE))
@@ -228,10 +232,10 @@ class PerlinMedium:
             keys.append((later, mix_bits(octave_key ^ _words((frame + 1) * _FRAME))))
         return keys
 
-    def _density(self, noise):
+    def _density(self, noise: Floats) -> Floats:
         return np.maximum(0, (noise - self.cutoff) / (1 - self.cutoff)) ** self.power
 
-    def _corners(self, cells):
+    def _corners(self, cells: int) -> Floats:
         """(cells + 1, ...): what bounds the density at the corners of the super-voxels."""
         if cells == 1 < self.coarsest:
             return np.full((2, 2, 2), self._corners(self._fine_cells()).max())
@@ -244,7 +248,7 @@ class PerlinMedium:
         density = self._density(noise + self.amplitudes[last + 1 :].sum() + _NOISE_MARGIN)
         return np.where(density > 0, np.maximum(density, _LEAST), 0)
 
-    def _fine_cells(self):
+    def _fine_cells(self) -> int:
         """Cells along an edge of the lattice that the global maximum is taken from."""
         cells = self.coarsest
         while 2 * cells <= min(_FINE, self.resolution):
@@ -252,34 +256,34 @@ class PerlinMedium:
         return cells
 
 
-def _whole(value, what, lowest, highest):
+def _whole(value: float, what: str, lowest: int, highest: int) -> int:
     require_whole(value, what, lowest, highest, MediumError)
     return int(value)
 
 
-def _between(value, what, lowest, highest):
+def _between(value: float, what: str, lowest: float, highest: float) -> float:
     value = float(value)
     if not lowest <= value <= highest:  # NaN is neither
         raise MediumError(f"The {what} must be between {lowest} and {highest}; it is {value}.")
     return value
 
 
-def _as_on_devices(value):
+def _as_on_devices(value: float) -> float:
     """Rounded to float32, or a cutoff near 1 would be quite another there."""
     return float(np.float32(value))
 
 
-def _words(value):
+def _words(value: int) -> Integers:
     """(1,) uint32: the lower bits of a whole number; an array, which wraps silently."""
     return np.array([value & 0xFFFFFFFF], np.uint32)
 
 
-def _value(h):
+def _value(h: Integers) -> Floats:
     """A lattice value in [0, 1), with the 24 bits that float32 holds."""
     return (mix_bits(h) >> 8) * 2.0**-24
 
 
-def _trilinear(key, x, y, z):
+def _trilinear(key: Integers, x: Floats, y: Floats, z: Floats) -> Floats:
     """The octave of `key` at coordinates in cells of its lattice."""
     (x0, x1, fx), (y0, y1, fy), (z0, z1, fz) = _cell(x, _X), _cell(y, _Y), _cell(z, _Z)
 
@@ -295,7 +299,7 @@ def _trilinear(key, x, y, z):
     return low + fx * (along_yz(mix_bits(key ^ x1)) - low)
 
 
-def _cell(coordinate, prime):
+def _cell(coordinate: Floats, prime: np.uint32) -> tuple[Integers, Integers, Floats]:
     """What the two lattice points around a coordinate are hashed with, and the share of the second.
 
     Coordinate by coordinate with a mixing in between: a hash of one sum of products would make the
@@ -306,7 +310,7 @@ def _cell(coordinate, prime):
     return low * prime, (low + np.uint32(1)) * prime, coordinate - index
 
 
-def _refined(values):
+def _refined(values: Floats) -> Floats:
     """Values at the points of a lattice -> those at the points of one twice as fine, trilinear."""
     for _ in range(3):  # each turn refines the first axis and makes it the last
         fine = np.empty((2 * len(values) - 1, *values.shape[1:]))
@@ -316,14 +320,14 @@ def _refined(values):
     return np.ascontiguousarray(values)
 
 
-def _largest(corners):
+def _largest(corners: Floats) -> Floats:
     """The largest of the eight corners of each cell."""
     for _ in range(3):
         corners = np.maximum(corners[:-1], corners[1:]).transpose(1, 2, 0)
     return corners
 
 
-def _difference(corners, term):
+def _difference(corners: Floats, term: tuple[int, ...]) -> Floats:
     """The coefficient that goes with a term of the trilinear functions through the corners."""
     for with_coordinate in term:
         corners = np.diff(corners, axis=0) if with_coordinate else corners[:-1]

@@ -7,6 +7,8 @@ depends on the seed alone and not on the order in which a device takes the rays.
 
 import numpy as np
 
+from ...arrays import Floats, Integers
+
 _GOLDEN = np.uint32(0x9E3779B9)  # 2^32 / golden ratio
 
 
@@ -17,16 +19,16 @@ class RandomStreams:
     indices  (n,) the numbers of the rays
     """
 
-    def __init__(self, seed, indices):
-        seed, index = np.uint32(seed), np.asarray(indices, np.uint32)
+    def __init__(self, seed: int, indices: Integers) -> None:
+        key, index = np.uint32(seed), np.asarray(indices, np.uint32)
         with np.errstate(over="ignore"):
-            a = mix_bits(index + _GOLDEN * seed)
+            a = mix_bits(index + _GOLDEN * key)
             b = mix_bits(a ^ index ^ np.uint32(0x632BE5AB))
             c = mix_bits(b + _GOLDEN)
-            d = mix_bits(c ^ seed) | np.uint32(1)
+            d = mix_bits(c ^ key) | np.uint32(1)
         self.state = np.stack([a, b, c, d])
 
-    def next(self, rays):
+    def next(self, rays: Integers) -> Floats:
         """The next number, uniform in (0, 1), of the streams `rays` (indices), as float64."""
         a, b, c, d = self.state[:, rays]
         bits = _rotate(a + d, 7) + a
@@ -39,11 +41,11 @@ class RandomStreams:
         return ((bits >> np.uint32(9)) + 0.5) * 2.0**-23
 
 
-def _rotate(bits, places):
+def _rotate(bits: Integers, places: int) -> Integers:
     return (bits << np.uint32(places)) | (bits >> np.uint32(32 - places))
 
 
-def mix_bits(h):
+def mix_bits(h: Integers) -> Integers:
     """The finalizer of MurmurHash3, of a uint32 array."""
     h = h ^ (h >> 16)
     h *= np.uint32(0x85EBCA6B)

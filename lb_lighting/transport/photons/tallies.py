@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What photons leave behind: the layout of the tallies, as in kernels/photons/photons.cl."""
 
+from typing import NamedTuple
+
 import numpy as np
+
+from ...arrays import Array, Floats
+
+type Wanted = tuple[bool, bool, bool]  # whether these tallies are: direct, flux, handed
+type Opaque = tuple[Floats, Floats]  # occlusion (nx, ny, nz), and its albedo in one band
+
 
 UNIT = 2.0**24  # of a tally, in a weight of 1
 HEAVIEST = 64.0  # weight that a photon may start with
@@ -29,12 +37,28 @@ COLLISIONS = 11
 SUMS = 12
 
 
-def kinds(direct, flux, handed):
+class Tallies(NamedTuple):
+    """What the photons of all batches scored, as weights.
+
+    direct, scattered, handed  (voxels, tallies), of the quantities above
+    deviation                  (voxels,) sum of the squared deviations of the batches' scattered
+                               weight from its mean
+    sums                       (SUMS,) of all photons together
+    """
+
+    direct: Floats
+    scattered: Floats
+    handed: Floats
+    deviation: Floats
+    sums: Floats
+
+
+def kinds(direct: bool, flux: bool, handed: bool) -> tuple[int, int, int]:
     """(direct, scattered, handed): tallies of a voxel, of what is wanted."""
     return int(direct), 1 + (FLUX_TALLIES if flux else 0), HANDED_TALLIES if handed else 0
 
 
-def in_weights(sums):
+def in_weights(sums: Array) -> Floats:
     """(SUMS,) float64 of sums (SUMS,) in units: weights, then counts as they are."""
     weights = np.asarray(sums, float)
     weights[:LOST_PHOTONS] /= UNIT

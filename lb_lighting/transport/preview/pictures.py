@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A picture of a medium in its light by free path sampling alone: nothing is solved or stored.
+"""A picture of a lit medium by free path sampling alone: nothing is solved or stored.
 
 A path goes from the camera into the medium on free paths. At each collision another free path is
-drawn towards each sun and point light, and where it gets there, the light counts (next-event
-estimation); the sky counts where a path leaves after a collision. So the mean of the pictures is
-the solution of the transfer equation, in any density, and only noise is left to average out.
+drawn towards each sun and point light, and the light counts if the path arrives (next-event
+estimation); the sky counts where a path leaves after a collision. So the pictures are unbiased
+estimates of the solution of the transfer equation, in any density, and averaging removes the noise.
 
 kernels/preview/preview.cl follows the paths; `NumpyEye` is its twin.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from math import prod
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import Floats, Integers, Vector
 from ...errors import (
     LightError,
     MediumError,
@@ -24,14 +29,20 @@ from ...errors import (
 )
 from .. import device as devices
 from ..backend import backend_of
+from ..device import Device
 from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
-from ..photons.free_path import enter, path_grid, refuse_violations
+from ..medium import Domain, Medium
+from ..photons.free_path import PathGrid, enter, path_grid, refuse_violations
 from ..photons.perlin import PerlinMedium
+from ..photons.tallies import Opaque
 
-_COARSEST = 8  # pixels between those that are looked at first
-_PIECE = 0.2  # s that a piece of a picture should take
+if TYPE_CHECKING:
+    from ..lights.base import Light
+
+_COARSEST = 8  # pixels between those that are sampled first
+_PIECE = 0.2  # s, the time that a piece of a picture should take
 _MOST_STEPS = 2 * 10**5  # of a path, before it is given up: some milliseconds
 _ANY = 2**30  # scatterings of a path
 
@@ -47,12 +58,12 @@ class View:
     perspective  whether rays come from the camera's place, and not from a plane through it
     """
 
-    matrix: np.ndarray
+    matrix: Floats
     height: float
-    size: tuple = (160, 120)
+    size: tuple[int, int] = (160, 120)
     perspective: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         matrix = np.asarray(self.matrix, float)
         fits = matrix.shape in ((3, 4), (4, 4)) and np.all(np.isfinite(matrix))
         if not fits or not 0 < self.height < np.inf:
@@ -62,7 +73,13 @@ class View:
         object.__setattr__(self, "matrix", matrix)
 
     @classmethod
-    def onto(cls, domain, direction, up=(0, 0, 1), size=(160, 120)):
+    def onto(
+        cls,
+        domain: Domain,
+        direction: Vector,
+        up: Vector = (0, 0, 1),
+        size: tuple[int, int] = (160, 120),
+    ) -> View:
         """All of a `Domain` without perspective, along `direction` (3,)."""
         back = -np.divide(direction, np.linalg.norm(direction))
         right = np.cross(up, back)
@@ -74,9 +91,9 @@ class View:
         width, height, depth = np.abs(axes) @ extent
         center = np.add(domain.origin, extent / 2) + back * depth
         height = max(height, width * size[1] / size[0])
-        return cls(np.column_stack([axes.T, center]), float(height), tuple(size))
+        return cls(np.column_stack([axes.T, center]), float(height), (size[0], size[1]))
 
-    def rays(self, pixels, within):
+    def rays(self, pixels: Integers, within: Floats) -> tuple[Floats, Floats]:
         """Origins in m and directions, (n, 3) each, through pixels (n,), row by row from the lower
         left; `within` (n, 2) are the places in them, in [0, 1)."""
         columns, rows = self.size
@@ -91,7 +108,7 @@ class View:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is seen so far.
+    """The mean of all paths so far.
 
     pixels   (height, width, 4) float32, the lower row first as in Blender: linear red, green and
              blue, W/(m^2 sr), and the share of rays that met something. The light of what is
@@ -100,42 +117,41 @@ class Picture:
     lost     share of paths that took too long and were given up, so that light is missing
     """
 
-    pixels: np.ndarray
+    pixels: Floats
     samples: float
     lost: float
 
 
 def pictures(
-    medium,
-    lights,
-    view,
-    device=None,
-    seed=0,
+    medium: Medium | PerlinMedium,
+    lights: Sequence[Light],
+    view: View,
+    device: Device | str | None = None,
+    seed: int = 0,
     *,
-    sampler="supervoxel_constant",
-    scatterings=None,
-):
-    """Ever better `Picture`s of a medium, without end; the generator may be closed at any time.
+    sampler: str = "supervoxel_constant",
+    scatterings: int | None = None,
+) -> Iterator[Picture]:
+    """An endless series of better and better `Picture`s; the generator may be closed at any time.
 
-    medium       `Medium` or `PerlinMedium` of one band or three, with its emission and opaque
-                 voxels, those on the domain's faces seen from inside only; what it radiates anew
-                 in other bands is left out
-    lights       `Sun`s, `Sky`s and `PointLight`s; of a sun's shadow density it does not know
+    medium       of one band or three, with its emission and opaque voxels (those on the domain's
+                 faces are seen from inside only). Its shift between bands is left out
+    lights       `Sun`s, `Sky`s and `PointLight`s; the shadow density of a sun is left out
     view         `View`
     device       None for the best, or part of the label of one of `device.devices()`
     seed         0 to 2^32 - 1; pictures of whole samples depend on nothing else
     sampler      one of free_path.SAMPLERS; the default is the quickest to prepare
-    scatterings  that light may have had on its way, at most; 1 for single scattering, None for all
-    The first picture is a coarse one; the first with a sample in each pixel follows soon. What a
-    picture adds takes about a fifth of a second.
-    Raises MediumError, LightError, SettingsError, DeviceError, or SolverError for a bound that does
-    not hold, which would be a bias.
+    scatterings  the most that light may have undergone; 1 for single scattering, None for all
+    The first picture is coarse; the first with a sample in each pixel follows soon. Each picture
+    takes about a fifth of a second more.
+    Raises MediumError, LightError, SettingsError, DeviceError, or SolverError where the density
+    exceeds its majorant, which would be a bias.
     """
     require_whole(seed, "seed", 0, 2**32 - 1)
     if scatterings is not None:
         require_whole(scatterings, "number of scatterings", 1, _ANY)
     least = -(-prod(view.size) // _COARSEST**2)
-    look = _Look(medium, lights, view, devices.choose(device), sampler, scatterings or _ANY)
+    camera = _Camera(medium, lights, view, devices.choose(device), sampler, scatterings or _ANY)
     order, piece = _coarse_first(view.size), least
     sums, samples = np.zeros((len(order), 4)), np.zeros(len(order), int)
     for sample in count():
@@ -145,20 +161,27 @@ def pictures(
         while first < len(order):
             pixels = order[first : first + piece]
             start = perf_counter()
-            sums[pixels] += look(pixels, within[pixels], stream)
+            sums[pixels] += camera(pixels, within[pixels], int(stream))
             faster = _PIECE / max(perf_counter() - start, 1e-6)
             samples[pixels] += 1
             first += piece
             piece = int(np.clip(piece * np.clip(faster, 0.25, 4), least, len(order)))
             done = int(samples.sum())
-            pixels = _filled(sums, samples, view.size)
-            yield Picture(pixels, done / len(order), look.lost / done)
+            yield Picture(_filled(sums, samples, view.size), done / len(order), camera.lost / done)
 
 
-class _Look:
-    """Adds a sample to pixels: what stays the same for all of them."""
+class _Camera:
+    """Takes one sample of pixels at a time; holds what all samples share."""
 
-    def __init__(self, medium, lights, view, device, sampler, scatterings):
+    def __init__(
+        self,
+        medium: Medium | PerlinMedium,
+        lights: Sequence[Light],
+        view: View,
+        device: Device,
+        sampler: str,
+        scatterings: int,
+    ) -> None:
         if medium.bands not in (1, 3):
             raise MediumError(f"A preview shows one band or three; the medium has {medium.bands}.")
         devices.require_memory(device, medium.shape, lambda shape: _plan(shape, medium))
@@ -170,25 +193,25 @@ class _Look:
         targets = _targets(lights, medium, self.grid)
         self.eye = backend_of(device).eye(self.grid, targets, emission, opaque)
         optics = list(zip(medium.sigma_t, medium.g, strict=True))
-        self.alike = [[n for n, o in enumerate(optics) if o == some] for some in {*optics}]
+        self.alike = [[n for n, o in enumerate(optics) if o == shared] for shared in {*optics}]
 
-    def __call__(self, pixels, within, stream):
-        """(n, 4): light in three bands and whether something was met, of a path in each pixel."""
+    def __call__(self, pixels: Integers, within: Floats, stream: int) -> Floats:
+        """(n, 4): light in three bands, and whether something was met, of a path in each pixel."""
         origins, directions = self.view.rays(pixels, within)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         _, inside, hit = enter(self.grid, origins, directions)
-        found = np.zeros((len(pixels), 4))
+        sample = np.zeros((len(pixels), 4))
         if not hit.any():
-            return found
+            return sample
         rays = np.concatenate([inside[hit], directions[hit]], axis=1, dtype=np.float32).T
         for bands in self.alike:
             light, met = self._see(np.ascontiguousarray(rays), pixels[hit], stream, bands[0])
             channels = bands if self.medium.bands == 3 else [0, 1, 2]
-            found[np.ix_(np.flatnonzero(hit), channels)] = light[:, channels]
-            found[hit, 3] += met * (len(bands) / self.medium.bands)
-        return found
+            sample[np.ix_(np.flatnonzero(hit), channels)] = light[:, channels]
+            sample[hit, 3] += met * (len(bands) / self.medium.bands)
+        return sample
 
-    def _see(self, rays, pixels, stream, band):
+    def _see(self, rays: Floats, pixels: Integers, stream: int, band: int) -> tuple[Floats, Floats]:
         """Light in three bands, (n, 3), and whether something was met, by the paths of a band."""
         medium = self.medium
         seen, left, violations = self.eye.see(
@@ -202,20 +225,20 @@ class _Look:
         return seen[:, :3], seen[:, 3]
 
 
-def _plan(shape, medium):
+def _plan(shape: tuple[int, ...], medium: Medium | PerlinMedium) -> tuple[dict[str, int], int]:
     """({what: bytes} on the device, bytes on the host)."""
     voxels = 0 if isinstance(medium, PerlinMedium) else prod(shape)
-    shining, opaque = (getattr(medium, n, None) is not None for n in ("emission", "occlusion"))
+    shining, opaque = medium.emission is not None, medium.occlusion is not None
     return {
-        "density and its bound": 8 * voxels,
+        "density and its majorants": 8 * voxels,
         "emission": 16 * voxels * shining,
         "opaque voxels": 20 * voxels * opaque,
     }, 8 * voxels
 
 
-def _targets(lights, medium, grid):
+def _targets(lights: Sequence[Light], medium: Medium | PerlinMedium, grid: PathGrid) -> Floats:
     """(n, 8) float32: the suns and point lights, as kernels/preview/preview.cl takes them."""
-    targets = []
+    targets: list[tuple[float, ...]] = []
     for light in lights:
         if isinstance(light, Sun):
             toward = -np.divide(light.direction, np.linalg.norm(light.direction))
@@ -232,17 +255,16 @@ def _targets(lights, medium, grid):
     return np.array(targets, np.float32).reshape(-1, 8)
 
 
-def _shining(medium):
-    """(voxels, 4) float32 W/(m^2 sr), what the medium adds on a voxel's edge; or None."""
-    emission = getattr(medium, "emission", None)
-    if emission is None:
+def _shining(medium: Medium | PerlinMedium) -> Floats | None:
+    """(voxels, 4) float32 W/(m^2 sr) that the medium emits along a voxel's edge; or None."""
+    if medium.emission is None:
         return None
-    return _three_bands(emission * np.float32(medium.voxel_size / (4 * np.pi)))
+    return _three_bands(medium.emission * np.float32(medium.voxel_size / (4 * np.pi)))
 
 
-def _opaque(medium):
+def _opaque(medium: Medium | PerlinMedium) -> Opaque | None:
     """(occlusion (nx, ny, nz), its albedo (voxels, 4)), float32; or None."""
-    if getattr(medium, "occlusion", None) is None:
+    if medium.occlusion is None:
         return None
     albedo = np.asarray(medium.occlusion_albedo)
     albedo = albedo[:, None, None, None] if albedo.ndim == 1 else albedo
@@ -250,7 +272,7 @@ def _opaque(medium):
     return medium.occlusion, _three_bands(albedo)
 
 
-def _three_bands(grids):
+def _three_bands(grids: Floats) -> Floats:
     """Grids of one band or three, (bands, nx, ny, nz), as (voxels, 4); the last column is empty."""
     bands, *shape = grids.shape
     values = np.zeros((prod(shape), 4), np.float32)
@@ -258,7 +280,7 @@ def _three_bands(grids):
     return values
 
 
-def _coarse_first(size):
+def _coarse_first(size: tuple[int, int]) -> Integers:
     """The pixels of a picture: those on a coarse lattice, then on finer and finer ones."""
     columns, rows = size
     y, x = np.indices((rows, columns)).reshape(2, -1)
@@ -266,7 +288,7 @@ def _coarse_first(size):
     return np.argsort(-(place & -place), kind="stable")  # the largest power of two that fits both
 
 
-def _filled(sums, samples, size):
+def _filled(sums: Floats, samples: Integers, size: tuple[int, int]) -> Floats:
     """(height, width, 4) float32: means; pixels that have none take those of coarser lattices."""
     columns, rows = size
     means = sums / np.maximum(samples, 1)[:, None]

@@ -1,28 +1,49 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rays from a camera see, in NumPy float64: the twin of kernels/preview/preview.cl."""
+"""Paths from a camera in NumPy float64: the twin of kernels/preview/preview.cl."""
 
 import numpy as np
 
-from ..photons.paths_numpy import (
-    COLLIDED,
-    CROSSED,
-    LEFT,
-    STOPPED,
-    VIRTUAL,
-    Walk,
-)
+from ...arrays import Floats, Integers
+from ..photons.free_path import PathGrid
+from ..photons.tallies import Opaque
+from ..photons.walk import COLLIDED, CROSSED, LEFT, STOPPED, VIRTUAL, Walk
 
 
 class NumpyEye:
-    """Sees through one `PathGrid`; the arguments are those of `OpenclEye`."""
+    """Follows paths from a camera through one `PathGrid`; `OpenclEye` does the same.
 
-    def __init__(self, grid, lights, emission, opaque):
+    lights    (n, 8) float32, see preview/preview.cl
+    emission  (voxels, 4) float32: what one fine cell emits in three bands, W/(m^2 sr); or None
+    opaque    (occlusion (nx, ny, nz), its albedo (voxels, 4)), float32 each; or None
+    """
+
+    def __init__(
+        self, grid: PathGrid, lights: Floats, emission: Floats | None, opaque: Opaque | None
+    ) -> None:
         self.grid, self.lights, self.emission, self.opaque = grid, lights, emission, opaque
 
-    def see(self, rays, numbers, per_depth, seed, most_steps, most_collisions, albedo, g):
-        """As `OpenclEye.see`."""
+    def see(
+        self,
+        rays: Floats,
+        numbers: Integers,
+        per_depth: float,
+        seed: int,
+        most_steps: int,
+        most_collisions: int,
+        albedo: Floats,
+        g: float,
+    ) -> tuple[Floats, Floats, int]:
+        """(seen (n, 4), left (n, 8), number of violated majorants).
+
+        seen     light in three bands, W/(m^2 sr), and whether the path met something
+        left     direction, whether the path was given up, and its weight in three bands where it
+                 left after a collision
+        rays     (6, n) float32, as those of `NumpyPaths.free_paths`
+        numbers  (n,) of the rays, which choose their random numbers
+        albedo   (3,)
+        """
         paths = _Paths(self, Walk(self.grid, rays, per_depth, seed, numbers), most_steps)
-        going = np.arange(rays.shape[1])
+        going: Integers = np.arange(rays.shape[1])
         paths.score_at = paths.walk.random.next(going)
         paths.walk.start_flights(going)
         while len(going):
@@ -31,28 +52,29 @@ class NumpyEye:
                 going = paths.light_up(going, light, g)
             going = paths.turn(going, g)
         seen = np.column_stack([paths.light, paths.collisions > 0])
-        return seen, paths.left, np.count_nonzero(paths.walk.violated)
+        return seen, paths.left, int(np.count_nonzero(paths.walk.violated))
 
 
 class _Paths:
     """The state of the paths from the camera, with one row for each ray."""
 
-    def __init__(self, eye, walk, most_steps):
+    def __init__(self, eye: NumpyEye, walk: Walk, most_steps: int) -> None:
         self.eye, self.walk, self.most_steps = eye, walk, most_steps
         n = len(walk.t)
+        self.score_at: Floats = np.zeros(n)
         self.light, self.weight = np.zeros((n, 3)), np.ones((n, 3))
         self.left = np.zeros((n, 8))
         self.steps, self.collisions, self.face = (np.zeros(n, int) for _ in range(3))
 
-    def meet(self, rays, albedo, most_collisions):
-        """Follow the paths' own flights; those that met something, and may go on."""
+    def meet(self, rays: Integers, albedo: Floats, most_collisions: int) -> Integers:
+        """Follow the flights of paths. Returns those that met something and may go on."""
         walk, event = self.walk, self._fly(rays)
         self._glow(rays)
         hit, stopped = rays[event == COLLIDED], rays[event == STOPPED]
         self.weight[hit] *= albedo
         self.face[hit] = -1
         walk.arrive(hit)
-        if len(stopped):
+        if len(stopped) and self.eye.opaque is not None:
             self.weight[stopped] *= self.eye.opaque[1][walk.stopped_by[stopped], :3]
             self.face[stopped] = walk.stopped_axis[stopped]
             walk.land(stopped)
@@ -63,14 +85,14 @@ class _Paths:
         self.collisions[met] += 1
         return met[self.collisions[met] <= most_collisions]
 
-    def light_up(self, rays, light, g):
-        """Follow a flight from each path's collision to a light, and back; those not lost."""
+    def light_up(self, rays: Integers, light: Floats, g: float) -> Integers:
+        """Follow a flight from each collision to a light and back. Returns paths not given up."""
         walk = self.walk
-        before = [values[rays].copy() for values in (walk.d, walk.cell, walk.voxel)]
+        state = [values[rays].copy() for values in (walk.d, walk.cell, walk.voxel)]
         towards = light[:3] - walk.o[rays] if light[3] > 0 else np.tile(light[:3], (len(rays), 1))
         squared = np.maximum((towards**2).sum(axis=1), 1e-12)
         walk.d[rays] = towards / np.sqrt(squared)[:, None]
-        share = self._share(before[0], walk.d[rays], self.face[rays], g)
+        share = self._share(state[0], walk.d[rays], self.face[rays], g)
         walk.start_flights(rays)
         if light[3] > 0:
             share /= squared
@@ -79,12 +101,12 @@ class _Paths:
         arrived = event == LEFT
         due = self.weight[rays] * share[:, None] * light[4:7]
         self.light[rays[arrived]] += due[arrived]
-        for values, value in zip((walk.d, walk.cell, walk.voxel), before, strict=True):
+        for values, value in zip((walk.d, walk.cell, walk.voxel), state, strict=True):
             values[rays] = value
         return rays[(event == COLLIDED) | (event == STOPPED) | arrived]
 
-    def turn(self, rays, g):
-        """Let the paths go on, those that are light by Russian roulette; those that do."""
+    def turn(self, rays: Integers, g: float) -> Integers:
+        """Scatter the paths, with Russian roulette for small weights. Returns those that go on."""
         walk = self.walk
         most = self.weight[rays].max(axis=1)
         light = rays[most < 0.1]
@@ -96,8 +118,8 @@ class _Paths:
         walk.start_flights(rays)
         return rays
 
-    def _share(self, before, after, face, g):
-        """(n,) 1/sr: what scatters from the directions `after` back along `before`, (n, 3) each."""
+    def _share(self, before: Floats, after: Floats, face: Integers, g: float) -> Floats:
+        """(n,) 1/sr: the phase function, or Lambert's cosine, between directions (n, 3)."""
         cosine = (before * after).sum(axis=1)
         base = np.maximum(1 + g * g - 2 * g * cosine, 1e-12)
         phase = (1 - g * g) / (4 * np.pi * base * np.sqrt(base))
@@ -106,9 +128,10 @@ class _Paths:
         lambert = np.maximum(out, 0) / np.pi
         return np.where(face < 0, phase, lambert)
 
-    def _fly(self, rays):
-        """The events with which flights end; CROSSED where a path took too many steps."""
-        walk, event, going = self.walk, np.full(len(rays), CROSSED), np.arange(len(rays))
+    def _fly(self, rays: Integers) -> Integers:
+        """(n,) events that end the flights; CROSSED where a path took too many steps."""
+        walk, event = self.walk, np.full(len(rays), CROSSED)
+        going: Integers = np.arange(len(rays))
         while len(going):
             event[going] = walk.advance(rays[going])
             self.steps[rays[going]] += 1
@@ -122,8 +145,8 @@ class _Paths:
             event[stopped & (event != CROSSED)] = STOPPED
         return event
 
-    def _glow(self, rays):
-        """Score flights, up to where they have come, at points a fine cell apart."""
+    def _glow(self, rays: Integers) -> None:
+        """Score the emission at points a fine cell apart, up to where the flights have come."""
         walk = self.walk
         while self.eye.emission is not None:
             due = rays[self.score_at[rays] < walk.t[rays]]

@@ -1,23 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rays from a camera see, on an OpenCL device: kernels/preview/preview.cl."""
+"""Paths from a camera on an OpenCL device: kernels/preview/preview.cl."""
+
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Floats, Integers
+from ..device import Device
+from ..photons.free_path import PathGrid
 from ..photons.paths_opencl import GROUP, OpenclPaths, kernel
+from ..photons.tallies import Opaque
 
 
 class OpenclEye:
-    """Sees through one `PathGrid` on a device; `NumpyEye` does the same.
+    """The twin of `NumpyEye` on a device: it takes the same arguments."""
 
-    lights    (n, 8) float32, see preview/preview.cl
-    emission  (voxels, 4) float32: in three bands what shines on one fine cell, W/(m^2 sr); or None
-    opaque    (occlusion (nx, ny, nz), its albedo (voxels, 4)), float32 each; or None
-    """
-
-    def __init__(self, grid, device, lights, emission, opaque):
+    def __init__(
+        self,
+        grid: PathGrid,
+        device: Device,
+        lights: Floats,
+        emission: Floats | None,
+        opaque: Opaque | None,
+    ) -> None:
         self.paths = OpenclPaths(grid, device)
         upload, absent = self.paths.upload, self.paths.output(4)
-        self.lights = np.int32(len(lights)), upload(lights) if len(lights) else absent
+        self.lights: tuple[Any, Any] = (
+            np.int32(len(lights)),
+            upload(lights) if len(lights) else absent,
+        )
         self.emission = absent if emission is None else upload(emission)
         self.opaque = [absent] * 2 if opaque is None else [*map(upload, opaque)]
         defines = {"EMISSION": emission is not None, "OCCLUSION": opaque is not None}
@@ -26,21 +37,26 @@ class OpenclEye:
             defined=tuple(n for n, on in defines.items() if on),
         )
 
-    def see(self, rays, numbers, per_depth, seed, most_steps, most_collisions, albedo, g):
-        """(seen (n, 4), left (n, 8), number of bounds that were violated), see preview/preview.cl.
-
-        rays     (6, n) float32, as those of free_paths
-        numbers  (n,) of the rays, which choose their random numbers
-        albedo   (3,)
-        """
-        paths, numbers = self.paths, numbers.astype(np.uint32)
+    def see(
+        self,
+        rays: Floats,
+        numbers: Integers,
+        per_depth: float,
+        seed: int,
+        most_steps: int,
+        most_collisions: int,
+        albedo: Floats,
+        g: float,
+    ) -> tuple[Floats, Floats, int]:
+        """As `NumpyEye.see`."""
+        paths, streams = self.paths, numbers.astype(np.uint32)
         count = rays.shape[1]
         seen, left = paths.output(16 * count), paths.output(32 * count)
         violations = paths.output(4 * paths.items)
         lights, uploaded = self.lights
         kernel(self.program, "see")(
             *(paths.queue, (paths.items,), (GROUP,), *paths.arguments, np.float32(per_depth)),
-            *(paths.upload(rays), paths.upload(numbers), np.int32(count), np.uint32(seed)),
+            *(paths.upload(rays), paths.upload(streams), np.int32(count), np.uint32(seed)),
             *(np.int32(most_steps), np.int32(most_collisions), *map(np.float32, (*albedo, g))),
             *(uploaded, lights, self.emission, *self.opaque, seen, left, violations),
         )

@@ -1,43 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the free path samplers tell of a medium before anything is baked, and what to do about it.
+"""Statistics of a medium from free path samples, before anything is baked, and advice from them.
 
-Rays start as light of an even sky does, by the cosine, at the border of the box that holds all
-matter. Through a convex box their mean length is 4 V / S (Cauchy), and they see all of it alike.
+Rays start like the light of a uniform sky, by the cosine, at the border of the box that holds all
+matter. Their mean length through a convex box is 4 V / S (Cauchy), and they sample all of it alike.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Array, Floats
 from ...errors import require_whole
+from ..device import Device
 from ..lights.distant import Sky
-from ..medium import Domain
+from ..medium import Domain, Medium
 from ..photons.free_path import SAMPLERS, FreePathSampler
 from ..photons.perlin import PerlinMedium
 
 _RAYS, _FEWEST_RAYS = 2**16, 2**8
-_TIMED = 0.1  # s that a sampler is timed for, at least, unless it is done with all rays
+_TIMED = 0.1  # s that a sampler is timed for at least, unless it needs less for all rays
 _BINS = 48
-_VOXELS_OF_NOISE = 64  # along an edge: noise itself is never summed up
+_VOXELS_OF_NOISE = 64  # along an edge: noise itself is never integrated
 
-# Optical depth times albedo up to which light that scattered twice and more is less than 5 % of a
-# picture (7 % if the medium scatters forward, away from the camera), and albedo up to which it is
-# at any depth: docs/theory/free-paths.md, "Preview".
+# Optical depth times albedo up to which multiply scattered light is less than 5 % of a picture
+# (7 % if the medium scatters forward, away from the camera), and the albedo up to which it is at
+# any depth: docs/theory/free-paths.md, "Preview".
 _THIN, _DARK = 0.05, 0.04
 # Edge of a voxel in transport free paths: below the first, more voxels make light no more right
 # (docs/theory/physics.md, "By resolution"); above the second, voxels are divided, as they are
 # above the last in diffusion lengths, where absorption fades light ("Voxels that are too thick").
 _RESOLVED, _THICKEST, _DARKEST = 0.5, 3.0, 0.9
-_DENSE = 10.0  # optical depth: a word only
-_MOST_VOXELS = 512  # along an edge that are worth advising
-_STEP = 8  # of what is advised
+_DENSE = 10.0  # optical depth from which a medium is called dense
+_MOST_VOXELS = 512  # along an edge, the most that is advised
+_STEP = 8  # of the numbers of voxels that are advised
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How one sampler fares.
+    """How fast one sampler is.
 
     acceptance   real collisions over tentative ones, NaN where there were none
     rays_a_second
@@ -51,21 +55,21 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What free paths tell of a medium, in its band of largest extinction.
+    """What free paths measure of a medium, in the band of its largest extinction.
 
     band             that band
-    rays             how many were drawn
+    rays             number of rays that were drawn
     counts           (bins,) of free paths that ended in the medium, by length
     edges            (bins + 1,) m, of the bins
-    even             (bins,) counts to expect of an even medium of the same mean free path
-    mean_free_path   m flown in that box for a collision; infinite where nothing collides
-    in_matter        m, the mean free path where matter is: of a voxel of `voxel_depth`
+    even             (bins,) expected counts of a homogeneous medium of the same mean free path
+    mean_free_path   m flown in that box for each collision; infinite where nothing collides
+    in_matter        m, the mean free path inside matter: that of a voxel of `voxel_depth`
     escaped          share of rays that left without a collision
     depth_mean       (3,) optical depth through the domain along x, y and z, mean of all columns
     depth_max        (3,) that of the deepest column
     voxel_depth_max  optical depth of the edge of the densest voxel
-    voxel_depth      that of a voxel where matter is: mean of all, weighed by what they hold
-    void             share of voxels that hold nothing
+    voxel_depth      mean of that over all voxels, weighted by their density
+    void             share of voxels that are empty
     voxels           along the longest edge
     albedo, g        of the band
     samplers         {name: `Sampling`}
@@ -74,34 +78,40 @@ class Statistics:
 
     band: int
     rays: int
-    counts: np.ndarray
-    edges: np.ndarray
-    even: np.ndarray
+    counts: Floats
+    edges: Floats
+    even: Floats
     mean_free_path: float
     in_matter: float
     escaped: float
-    depth_mean: tuple
-    depth_max: tuple
+    depth_mean: tuple[float, ...]
+    depth_max: tuple[float, ...]
     voxel_depth_max: float
     voxel_depth: float
     void: float
     voxels: int
     albedo: float
     g: float
-    samplers: dict
+    samplers: dict[str, Sampling]
 
 
-def statistics(medium, device=None, seed=0, rays=_RAYS, samplers=SAMPLERS):
-    """The `Statistics` of a `Medium` or `PerlinMedium`, by free paths of `rays` rays.
+def statistics(
+    medium: Medium | PerlinMedium,
+    device: Device | str | None = None,
+    seed: int = 0,
+    rays: int = _RAYS,
+    samplers: Sequence[str] = SAMPLERS,
+) -> Statistics:
+    """The `Statistics` of a medium, from free paths of a number of rays.
 
     device    None for the best, or part of the label of one of `device.devices()`
-    samplers  which to time, of free_path.SAMPLERS; each takes about 0.2 s, but what it prepares
-    Opaque voxels are not seen. Raises SettingsError or DeviceError.
+    samplers  those of free_path.SAMPLERS to time; each takes about 0.2 s, and its preparation
+    Opaque voxels are ignored. Raises SettingsError or DeviceError.
     """
     require_whole(rays, "number of rays", 1, 2**24)
     band = int(np.argmax(medium.sigma_t))
     rng = np.random.default_rng([seed, 2])
-    shuffled = rng.permutation(rays)  # the sky's come in order, and some are timed alone
+    shuffled = rng.permutation(rays)  # the sky emits in order, and a part of them is timed
     box = _Box(medium)
     origins, directions = (v[shuffled] for v in Sky(1.0).emit(rays, box, rng, 0)[:2])
     sampler = FreePathSampler(medium, "supervoxel_constant", device, band=band)
@@ -120,17 +130,17 @@ def statistics(medium, device=None, seed=0, rays=_RAYS, samplers=SAMPLERS):
     )
 
 
-def advice(found, resolution):
+def advice(measured: Statistics, resolution: int) -> str:
     """One sentence for an artist, from `Statistics` and the voxels along a bake's longest edge."""
-    depth = max(found.depth_max)
+    depth = max(measured.depth_max)
     if depth == 0:
         return "There is nothing that light could meet; raise the density, or select something."
     deep = f"optical depth {depth:.0f}" if depth >= 10 else f"optical depth {depth:.2g}"
-    if depth * found.albedo <= _THIN:
+    if depth * measured.albedo <= _THIN:
         return f"Optically thin, {deep}: single scattering is enough, no bake needed."
-    if found.albedo <= _DARK:
-        return f"Dark, albedo {found.albedo:.2g}: single scattering is enough, no bake needed."
-    thickness, fading = _of_voxel(found, resolution)
+    if measured.albedo <= _DARK:
+        return f"Dark, albedo {measured.albedo:.2g}: single scattering is enough, no bake needed."
+    thickness, fading = _of_voxel(measured, resolution)
     too_thick = max(thickness / _THICKEST, fading / _DARKEST)
     needed, resolving = (_voxels(resolution * n) for n in (too_thick, thickness / _RESOLVED))
     if too_thick > 1 and needed > _MOST_VOXELS:
@@ -145,29 +155,29 @@ def advice(found, resolution):
     return f"Very dense, {deep}: {resolution} voxels give its smooth light, but not its lit skin."
 
 
-def _of_voxel(found, resolution):
+def _of_voxel(measured: Statistics, resolution: int) -> tuple[float, float]:
     """A voxel's edge in transport free paths, and in diffusion lengths, weighed by the albedo as
     `physical` does."""
-    transport = 1 - found.albedo * found.g
-    depth = found.voxel_depth * (found.voxels / resolution) * found.albedo
-    return depth * transport, depth * np.sqrt(3 * (1 - found.albedo) * transport)
+    transport = 1 - measured.albedo * measured.g
+    depth = measured.voxel_depth * (measured.voxels / resolution) * measured.albedo
+    return depth * transport, depth * np.sqrt(3 * (1 - measured.albedo) * transport)
 
 
-def histogram_picture(found, width=240, height=80):
+def histogram_picture(measured: Statistics, width: int = 240, height: int = 80) -> Floats:
     """(height, width, 4) float32: bars of free paths, the lower row first, and a line for `even`.
 
     For a dark background, which shows through. Bars and line have one scale, the highest of both
     being the picture's height.
     """
-    values = np.concatenate([found.counts, found.even])
+    values = np.concatenate([measured.counts, measured.even])
     scale = (height - 2) / max(values.max(), 1)
-    place = (np.arange(width) + 0.5) * (len(found.counts) / width)
-    bars = found.counts[place.astype(int)] * scale
-    if width >= 4 * len(found.counts):
-        gaps = np.diff(place.astype(int), append=len(found.counts)) > 0
+    place = (np.arange(width) + 0.5) * (len(measured.counts) / width)
+    bars = measured.counts[place.astype(int)] * scale
+    if width >= 4 * len(measured.counts):
+        gaps = np.diff(place.astype(int), append=len(measured.counts)) > 0
         bars[gaps] = 0
-    middles = np.arange(len(found.even)) + 0.5
-    line = np.interp(place, middles, found.even) * scale
+    middles = np.arange(len(measured.even)) + 0.5
+    line = np.interp(place, middles, measured.even) * scale
     rows = np.arange(height)[:, None]
     picture = np.zeros((height, width, 4), np.float32)
     picture[...] = (*_BAR, 0)
@@ -182,29 +192,29 @@ def histogram_picture(found, width=240, height=80):
 _BAR, _LINE, _AXIS = (0.35, 0.55, 0.85), (1.0, 0.6, 0.15), (0.7, 0.7, 0.7)
 
 
-def _reach(line):
+def _reach(line: Floats) -> Floats:
     return 0.75 + np.abs(np.gradient(line)) / 2
 
 
-def _draw(picture, cover, color):
-    """Lay a colour over a picture that is not multiplied by its alpha, where it covers."""
+def _draw(picture: Floats, cover: Floats, color: tuple[float, float, float]) -> None:
+    """Lay a colour over a picture of unassociated alpha, by its coverage."""
     alpha = cover + picture[..., 3] * (1 - cover)
     share = np.divide(cover, alpha, out=np.zeros_like(alpha), where=alpha > 0)[..., None]
     picture[..., :3] += share * (np.array(color) - picture[..., :3])
     picture[..., 3] = alpha
 
 
-def _voxels(count):
-    """Rounded up to what is easily said."""
+def _voxels(count: float) -> int:
+    """Rounded up to a multiple of _STEP."""
     return _STEP * ceil(count / _STEP)
 
 
 class _Box:
-    """What lights ask of a medium, for the box that holds all its matter."""
+    """The part of a medium's interface that lights need, for the box that holds all its matter."""
 
     bands = 1
 
-    def __init__(self, medium):
+    def __init__(self, medium: Medium | PerlinMedium) -> None:
         self.domain = medium.domain
         matter = None if isinstance(medium, PerlinMedium) else np.argwhere(medium.density)
         if matter is not None and len(matter):
@@ -213,7 +223,7 @@ class _Box:
             self.domain = Domain(tuple(origin), medium.voxel_size, tuple(upper - lower))
 
 
-def _chords(domain, origins, directions):
+def _chords(domain: Domain, origins: Floats, directions: Floats) -> Floats:
     """(n,) m from points on the domain's border to where rays leave it."""
     ends = np.where(directions >= 0, domain.upper, domain.origin)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -221,13 +231,14 @@ def _chords(domain, origins, directions):
     return np.maximum(exits.min(axis=1), 0)
 
 
-def _of_paths(lengths, chords):
-    """What the lengths (n,) of free paths in m tell, of rays whose chords are (n,) m."""
+def _of_paths(lengths: Floats, chords: Floats) -> dict[str, Any]:
+    """Statistics of the lengths (n,) m of free paths, of rays whose chords are (n,) m."""
     collided = np.isfinite(lengths)
     flown = np.where(collided, lengths, chords)
     mean = float(flown.sum()) / collided.sum() if collided.any() else np.inf
-    furthest = lengths[collided].max() if collided.any() else chords.max()
-    counts, edges = np.histogram(lengths[collided], _BINS, (0, furthest))
+    furthest = float(lengths[collided].max() if collided.any() else chords.max())
+    collisions: Array = lengths[collided]
+    counts, edges = np.histogram(collisions, _BINS, (0, furthest))
     # Of each ray e^(-x/mean) is left at x, up to where it leaves.
     left = np.array([np.exp(-np.minimum(edge, chords) / mean).sum() for edge in edges])
     return {
@@ -239,8 +250,8 @@ def _of_paths(lengths, chords):
     }
 
 
-def _of_voxels(medium, band):
-    """Depths of a medium's columns and voxels."""
+def _of_voxels(medium: Medium | PerlinMedium, band: int) -> dict[str, Any]:
+    """Optical depths of a medium's columns and voxels."""
     if isinstance(medium, PerlinMedium):
         medium = medium.voxels(_VOXELS_OF_NOISE)
     depth = medium.depth(medium.sigma_t[band])
@@ -257,19 +268,26 @@ def _of_voxels(medium, band):
     }
 
 
-def _timed(medium, name, device, band, rays, seed):
-    """The `Sampling` of a sampler, by as many of the rays as it takes to tell."""
+def _timed(
+    medium: Medium | PerlinMedium,
+    name: str,
+    device: Device,
+    band: int,
+    rays: tuple[Floats, Floats],
+    seed: int,
+) -> Sampling:
+    """The `Sampling` of a sampler, from as many of the rays as a timing needs."""
     start = perf_counter()
     sampler = FreePathSampler(medium, name, device, band=band)
     preparation = perf_counter() - start
     sampler.sample(rays[0][:1], rays[1][:1])  # builds its program
-    some = min(_FEWEST_RAYS, len(rays[0]))
+    count = min(_FEWEST_RAYS, len(rays[0]))
     while True:
         start = perf_counter()
-        lengths, particles = sampler.count(rays[0][:some], rays[1][:some], seed)
+        lengths, particles = sampler.count(rays[0][:count], rays[1][:count], seed)
         seconds = perf_counter() - start
-        if seconds >= _TIMED or some == len(rays[0]):
+        if seconds >= _TIMED or count == len(rays[0]):
             break
-        some = min(4 * some, len(rays[0]))
+        count = min(4 * count, len(rays[0]))
     real = np.count_nonzero(np.isfinite(lengths))
-    return Sampling(real / particles if particles else np.nan, some / seconds, preparation)
+    return Sampling(real / particles if particles else np.nan, count / seconds, preparation)

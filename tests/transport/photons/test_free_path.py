@@ -177,9 +177,12 @@ def prepare(medium, sampler, interpolation="constant", size=4, found=None, **opt
 def lowered(prepared, factor=0.9):
     """The same sampler with bounds that are too low."""
     grid = prepared.grid
-    bound = grid.bound and replace(grid.bound, values=grid.bound.values * np.float32(factor))
+    majorants = grid.majorants
+    if majorants:
+        majorants = replace(majorants, values=majorants.values * np.float32(factor))
+    largest = grid.global_majorant * factor
     other = copy(prepared)
-    other.grid = replace(grid, bound=bound, majorant=grid.majorant * factor)
+    other.grid = replace(grid, majorants=majorants, global_majorant=largest)
     other.paths = backend_of(prepared.device).paths(other.grid)
     return other
 

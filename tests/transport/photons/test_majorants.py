@@ -10,11 +10,11 @@ import pytest
 from lb_lighting.errors import SettingsError
 from lb_lighting.transport import device
 from lb_lighting.transport.photons.majorants import (
-    Bound,
+    Majorants,
     choose_size,
-    constant_bound,
+    constant_majorants,
     fine_cells,
-    linear_bound,
+    linear_majorants,
     sizes,
 )
 
@@ -111,7 +111,7 @@ def below(bound, sample):
 
 
 def scaled(bound, factor):
-    return Bound(bound.size, bound.values * np.float32(factor), bound.mean * factor)
+    return Majorants(bound.size, bound.values * np.float32(factor), bound.mean * factor)
 
 
 def volume(size, grid):
@@ -127,8 +127,8 @@ def test_no_density_exceeds_its_bound(name, interpolation):
     grid = fine_cells(density, interpolation)
     for size in SIZES:
         sample = points(grid, size)
-        constant = constant_bound(density, size, interpolation)
-        linear = [linear_bound(density, size, interpolation, found) for found in DEVICES]
+        constant = constant_majorants(density, size, interpolation)
+        linear = [linear_majorants(density, size, interpolation, found) for found in DEVICES]
         for bound in (constant, *linear):
             assert bound.values.dtype == np.float32
             assert below(bound, sample) == 0
@@ -142,7 +142,7 @@ def test_densities_at_the_limits_of_float32(found):
     """Denormal ones, too, which OpenCL devices take for 0."""
     for largest in (3e38, 1e-37, 1e-42):
         density = (media()["blobs"] / media()["blobs"].max() * largest).astype(np.float32)
-        bound = linear_bound(density, 5, device=found)
+        bound = linear_majorants(density, 5, device=found)
         assert np.isfinite(bound.values).all()
         assert below(bound, points(fine_cells(density), 5)) == 0
 
@@ -152,8 +152,8 @@ def test_densities_at_the_limits_of_float32(found):
 def test_empty_super_voxels_are_exactly_empty(found, interpolation):
     for name in ("voids", "spike"):
         density = media()[name]
-        constant = constant_bound(density, 5, interpolation)
-        linear = linear_bound(density, 5, interpolation, found)
+        constant = constant_majorants(density, 5, interpolation)
+        linear = linear_majorants(density, 5, interpolation, found)
         assert (constant.values == 0).any()
         assert not linear.values[constant.values == 0].any()
         assert linear.values[constant.values > 0].any(axis=-1).all()
@@ -163,16 +163,16 @@ def test_empty_super_voxels_are_exactly_empty(found, interpolation):
 def test_size_one_is_the_density(found):
     for density in media().values():
         mean = density.mean(dtype=float)
-        assert np.array_equal(constant_bound(density, 1).values, density)
-        voxels = linear_bound(density, 1, device=found)
+        assert np.array_equal(constant_majorants(density, 1).values, density)
+        voxels = linear_majorants(density, 1, device=found)
         assert np.array_equal(voxels.values[..., 0], density)
         assert not voxels.values[..., 1:].any()
         assert voxels.mean == pytest.approx(mean, rel=1e-6)
 
         cell, position, true = points(fine_cells(density, "linear"), 1)
-        linear = linear_bound(density, 1, "linear", found)
+        linear = linear_majorants(density, 1, "linear", found)
         excess = bound_at(linear, cell, position) - true
-        largest = constant_bound(density, 1, "linear").values[tuple(cell.T)]
+        largest = constant_majorants(density, 1, "linear").values[tuple(cell.T)]
         # The margin: 32 roundings of 14 largest values, the most that 8 coefficients add up to.
         assert np.all(excess <= 32 * 2.0**-24 * 15 * largest)
         # A density that repeats its edges has the mean of its voxels.
@@ -189,7 +189,7 @@ def test_a_trilinear_density_is_its_own_bound(found, size):
         density = np.broadcast_to(40.0 - u / 2 + v + u * v / 10, SHAPE).astype(np.float32)
         grid = fine_cells(density, "linear")
         cell, position, true = points(grid, size)
-        bound = linear_bound(density, size, "linear", found)
+        bound = linear_majorants(density, size, "linear", found)
         whole = (cell > 0) & ((cell + 1) * size < grid.shape)
         whole[:, flat] = True
         whole = whole.all(axis=1)
@@ -206,7 +206,7 @@ def test_a_spike_has_the_least_mean_that_is_possible(found):
     for node in product(range(size + 1), repeat=3):
         density = np.zeros((12, 12, 12), np.float32)  # node i of the middle one is voxel 3 + i
         density[tuple(3 + i for i in node)] = height
-        bound = linear_bound(density, size, "linear", found)
+        bound = linear_majorants(density, size, "linear", found)
         weight = np.prod([max(i, size - i) / size for i in node])
         coefficients = bound.values[1, 1, 1].astype(float)
         mean = coefficients @ [1, 0.5, 0.5, 0.5, 0.25, 0.25, 0.25, 0.125]
@@ -219,8 +219,8 @@ def test_linear_bounds_of_smooth_media_are_tighter(found):
     density = media()["blobs"]
     mean = density.mean(dtype=float)
     for size, kept in ((4, 0.15), (8, 0.25), (16, 0.45)):
-        constant = constant_bound(density, size, "linear").mean - mean
-        linear = linear_bound(density, size, "linear", found).mean - mean
+        constant = constant_majorants(density, size, "linear").mean - mean
+        linear = linear_majorants(density, size, "linear", found).mean - mean
         assert 0 < linear <= kept * constant
 
 
@@ -243,7 +243,7 @@ def test_kernel_follows_its_twin(found, name):
     for size, interpolation in product((2, 5, 16), INTERPOLATIONS):
         grid = fine_cells(density, interpolation)
         kernel, twin = (
-            means(linear_bound(density, size, interpolation, each), grid)
+            means(linear_majorants(density, size, interpolation, each), grid)
             for each in (found, DEVICES[-1])
         )
         np.testing.assert_allclose(kernel, twin, rtol=1.1e-3)
@@ -252,21 +252,21 @@ def test_kernel_follows_its_twin(found, name):
 def test_a_problem_in_several_slabs_is_the_same(monkeypatch):
     density = media()["blobs"]
     for found in DEVICES:
-        whole = linear_bound(density, 5, "linear", found).values
+        whole = linear_majorants(density, 5, "linear", found).values
         with monkeypatch.context() as patch:
             patch.setattr("lb_lighting.transport.photons.majorants._SCRATCH", 1)
             patch.setattr("lb_lighting.transport.photons.majorants_numpy._BATCH", 1)
-            pieces = linear_bound(density, 5, "linear", found).values
+            pieces = linear_majorants(density, 5, "linear", found).values
         np.testing.assert_allclose(pieces, whole, rtol=1e-5, atol=1e-5 * density.max())
 
 
 def test_mean_counts_what_lies_in_the_domain():
     density = media()["wild"]
-    bound = constant_bound(density, 5)
+    bound = constant_majorants(density, 5)
     weights = volume(5, fine_cells(density))
     assert bound.mean == pytest.approx(np.average(bound.values, weights=weights), rel=1e-6)
     for size, interpolation in product((3, 64), INTERPOLATIONS):
-        assert constant_bound(media()["constant"], size, interpolation).mean == pytest.approx(
+        assert constant_majorants(media()["constant"], size, interpolation).mean == pytest.approx(
             0.3, rel=4e-6
         )
 
@@ -296,7 +296,7 @@ def test_chosen_size_follows_the_medium(kind, interpolation):
 
 def test_what_no_bound_can_be_made_of_is_refused():
     density = np.ones((3, 3, 3), np.float32)
-    for make in (constant_bound, linear_bound):
+    for make in (constant_majorants, linear_majorants):
         with pytest.raises(SettingsError, match="1 fine cell or more an edge, not 0"):
             make(density, 0)
         with pytest.raises(SettingsError, match="no interpolation called 'cubic'"):

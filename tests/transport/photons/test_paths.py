@@ -294,8 +294,8 @@ def test_rays_stay_under_the_bounds(sampler, name, interpolation, size, kernels)
         assert far.max() < 2e-6 * largest
         assert over.sum() == 0
         if size > 1:  # the check can fail
-            values = grid.bound.values * np.float32(LOWERED.get(name, 0.9))
-            lowered = replace(grid, bound=replace(grid.bound, values=values))
+            values = grid.majorants.values * np.float32(LOWERED.get(name, 0.9))
+            lowered = replace(grid, majorants=replace(grid.majorants, values=values))
             assert (
                 follow(backend_of(found).paths(lowered), inside, directions, kernels)[2].sum() > 0
             )

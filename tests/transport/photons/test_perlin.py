@@ -163,8 +163,8 @@ def bounds_of(medium):
     """Every bound of up to 64 super-voxels along an edge."""
     cells = [1, *(medium.coarsest * 2**octave for octave in range(medium.octaves))]
     for count in {count for count in cells if count <= 64}:
-        yield medium.constant_bound(count)
-        yield medium.linear_bound(count)
+        yield medium.constant_majorants(count)
+        yield medium.linear_majorants(count)
 
 
 def excess(density, bound):
@@ -197,14 +197,14 @@ def test_bound_holds_where_rounding_decides_about_void(found):
         medium = perlin(64, **octaves, cutoff=noise.max())
         _, density, _ = on_device(found, medium, corners)
         above += density.max() > 0
-        assert density.max() <= medium.constant_bound(64).values[10, 11, 12]
+        assert density.max() <= medium.constant_majorants(64).values[10, 11, 12]
     assert above > 5  # or nothing was tested
 
 
 def test_too_low_a_bound_is_found_out():
     """The check above is worth something: it finds a bound that is lowered by a tenth."""
     medium = MEDIA["weak"]
-    for bound in (medium.constant_bound(64), medium.linear_bound(64)):
+    for bound in (medium.constant_majorants(64), medium.linear_majorants(64)):
         cells, local, points = points_in_cells(bound, 30_000, 0)
         limit = bound_values(bound, cells, local) * np.float32(0.9)
         assert excess(medium.density_at(points), limit) > 0
@@ -217,8 +217,8 @@ def test_bounds_tighten(noise):
     rng = np.random.default_rng(0)
     mean = medium.density_at(rng.random((100_000, 3)) * 256).mean()
     lattices = (4, 8, 16, 32, 64, 128)
-    constant = [medium.constant_bound(cells).mean for cells in lattices]
-    linear = [medium.linear_bound(cells).mean for cells in lattices]
+    constant = [medium.constant_majorants(cells).mean for cells in lattices]
+    linear = [medium.linear_majorants(cells).mean for cells in lattices]
     assert np.all(np.diff(constant) < 0)
     assert np.all(np.diff(linear) < 0)
     assert np.all(np.array(linear) < constant)
@@ -230,7 +230,7 @@ def test_bounds_of_one_octave_are_its_own_values(cells):
     """Nothing is left out, so that the bounds are the noise but for the margins for rounding."""
     medium = perlin(cells, coarsest=cells, seed=9, time=0.5)
     corners = medium.lattice(0)
-    linear, constant = medium.linear_bound(cells), medium.constant_bound(cells)
+    linear, constant = medium.linear_majorants(cells), medium.constant_majorants(cells)
     assert linear.size == constant.size == 1
     np.testing.assert_allclose(linear.values[..., 0], corners[:-1, :-1, :-1], atol=2e-5)
     np.testing.assert_allclose(linear.values.sum(axis=-1), corners[1:, 1:, 1:], atol=2e-5)
@@ -246,7 +246,7 @@ def test_bounds_of_one_octave_are_its_own_values(cells):
 
 def test_mean_of_a_bound_is_its_mean():
     medium = perlin(256, **STRONG, seed=2)
-    for bound in (medium.constant_bound(16), medium.linear_bound(16)):
+    for bound in (medium.constant_majorants(16), medium.linear_majorants(16)):
         rng = np.random.default_rng(3)
         cells = rng.integers(0, 16, (200_000, 3))
         values = bound_values(bound, cells, rng.random((200_000, 3)).astype(np.float32))
@@ -256,7 +256,7 @@ def test_mean_of_a_bound_is_its_mean():
 
 def test_void_has_a_bound_of_zero():
     medium = perlin(4096, **STRONG)
-    constant, linear = medium.constant_bound(64), medium.linear_bound(64)
+    constant, linear = medium.constant_majorants(64), medium.linear_majorants(64)
     void = constant.values == 0
     assert 0.2 < void.mean() < 0.8
     assert not linear.values[void].any()
@@ -435,4 +435,4 @@ def test_bad_noise_is_refused(change, words):
 @pytest.mark.parametrize("cells", [0, 2, 12, 512, 16.0])
 def test_bounds_on_no_lattice_are_refused(cells):
     with pytest.raises(MediumError, match="number of super-voxels along an edge must be"):
-        perlin(256).linear_bound(cells)
+        perlin(256).linear_majorants(cells)

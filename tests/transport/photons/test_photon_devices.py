@@ -19,6 +19,7 @@ from lb_lighting.errors import (
     SolverError,
 )
 from lb_lighting.transport import Medium, PointLight, Sky, Sun, device
+from lb_lighting.transport.photons import schedule
 from lb_lighting.transport.photons import trace as photons
 from lb_lighting.transport.photons.free_path import SAMPLERS, path_grid
 from lb_lighting.transport.photons.perlin import PerlinMedium
@@ -60,8 +61,8 @@ def assert_twins(monkeypatch):
     """The same seed gives the same paths in NumPy, but for those that rounding parts."""
     # Few batches, as NumPy takes its time for each; and the bound of one device for all, as their
     # own differ by rounding.
-    monkeypatch.setattr(photons, "_MOST_BATCHES", 2)
-    monkeypatch.setattr(photons, "_FEWEST_BATCHES", 2)
+    monkeypatch.setattr(schedule, "_MOST_BATCHES", 2)
+    monkeypatch.setattr(schedule, "_FEWEST_BATCHES", 2)
     grid = photons.path_grid
     monkeypatch.setattr(photons, "path_grid", lambda *options: grid(*options[:-1], OPENCL[0]))
 
@@ -217,7 +218,8 @@ def test_field_of_noise_has_the_resolution_asked_for():
 def test_bound_that_is_too_low_is_refused(found, monkeypatch):
     def lowered(*options):
         grid = path_grid(*options)
-        return replace(grid, bound=replace(grid.bound, values=grid.bound.values * np.float32(0.9)))
+        values = grid.majorants.values * np.float32(0.9)
+        return replace(grid, majorants=replace(grid.majorants, values=values))
 
     monkeypatch.setattr(photons, "path_grid", lowered)
     with pytest.raises(SolverError, match="over its upper bound"):

@@ -10,7 +10,7 @@ import pytest
 from lb_lighting.errors import LightError, MediumError, SettingsError, SolverError
 from lb_lighting.transport import Medium, PerlinMedium, PointLight, Sky, Sun, device
 from lb_lighting.transport.preview import pictures as preview
-from lb_lighting.transport.preview.pictures import View, _Look, pictures
+from lb_lighting.transport.preview.pictures import View, _Camera, pictures
 from tests.statistics import normal
 
 NUMPY = device.devices()[-1]
@@ -214,7 +214,7 @@ def scene(name, found, scatterings=2**30):
         medium = patchy(occlusion=occlusion, occlusion_albedo=0.5, emission=emission)
     lights = [Sun((0.3, 0.2, -0.9), 2.0), PointLight((1.8, -1.4, 1.5), 3.0), Sky(0.2)]
     view = View.onto(medium.domain, (1, 2, -1), size=(40, 30))
-    return _Look(medium, lights, view, found, "supervoxel_constant", scatterings)
+    return _Camera(medium, lights, view, found, "supervoxel_constant", scatterings)
 
 
 @cache
@@ -329,8 +329,8 @@ def test_what_cannot_be_shown_is_refused():
 
 def test_bounds_that_do_not_hold_are_refused():
     look = scene("voxels", NUMPY)
-    lowered = replace(look.grid.bound, values=look.grid.bound.values / 2)
-    look.eye.grid = replace(look.grid, bound=lowered)
+    lowered = replace(look.grid.majorants, values=look.grid.majorants.values / 2)
+    look.eye.grid = replace(look.grid, majorants=lowered)
     with pytest.raises(SolverError, match="over its upper bound"):
         look(np.arange(1200), np.full((1200, 2), 0.5), 1)
 

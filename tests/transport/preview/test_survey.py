@@ -128,7 +128,7 @@ def test_noise_has_statistics():
     voxels = medium.voxels(64).density.astype(float)
     assert told.depth_mean[0] == pytest.approx(10 * 2 * voxels.mean())
     acceptance = told.samplers["woodcock"].acceptance
-    largest = float(medium.constant_bound(1).values.max())
+    largest = float(medium.constant_majorants(1).values.max())
     assert acceptance == pytest.approx(voxels.mean() / largest, rel=0.3)
     assert "bake it" in advice(told, 64)
 

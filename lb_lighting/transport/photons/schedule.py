@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which light and band each tracing is of, and how many photons it gets: in batches, by power."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...arrays import Floats
+from ..lights.base import darkness, multiple
+from ..lights.emission import Emission
+from ..medium import Medium
+from .perlin import PerlinMedium
+
+if TYPE_CHECKING:
+    from ..lights.base import Light
+
+# Batches have the same size, and their scatter gives the variance: that of 32 is known to a quarter
+# of itself. There are fewer where photons are so few that reading the voxels would take longer.
+_FEWEST_BATCHES, _MOST_BATCHES, _PHOTONS_A_VOXEL = 8, 32, 1 / 128
+_PROBE = 1024  # photons that measure how bright a light is
+AT_ONCE = 2**18  # photons, at most, that a light emits in a batch
+# Paths of each photon where direct light is not needed: to draw one costs as much as collisions.
+COPIES = 4
+
+
+@dataclass(frozen=True)
+class Run:
+    """One tracing: a light, a band, and the bands whose light is a multiple of it.
+
+    multiples  {band: factor}
+    photons    that the light sends in a batch
+    copies     paths of each photon
+    power      W of a path of weight 1
+    """
+
+    light: Light
+    number: int
+    band: int
+    multiples: dict[int, float]
+    photons: int
+    copies: int
+    power: float
+
+
+def batches_of(photons: int, voxels: int) -> int:
+    """How many batches the photons are traced in."""
+    worthwhile = int(photons / (_PHOTONS_A_VOXEL * voxels))
+    batches = min(photons, max(_FEWEST_BATCHES, min(worthwhile, _MOST_BATCHES)))
+    return max(batches, -(-photons // AT_ONCE))
+
+
+def runs_of(
+    medium: Medium | PerlinMedium,
+    lights: Iterable[Light],
+    photons: int,
+    batches: int,
+    copies: int,
+    seed: int,
+) -> list[Run]:
+    """The `Run`s of a medium and its lights: one for each that shines and band that differs."""
+    lights = list(lights)
+    if medium.emission is not None:
+        lights.append(Emission(medium))
+    runs: list[Run] = []
+    for band, multiples in _distinct(medium, lights):
+        probes = [_probe(light, medium, band, seed) for light in lights]
+        whole = sum(probe.sum() for probe in probes)
+        for number, (light, probe) in enumerate(zip(lights, probes, strict=True)):
+            if probe.any():
+                count = max(1, round(photons * probe.sum() / whole / (batches * copies)))
+                power = float(probe.max()) * _PROBE / (count * copies)
+            elif callable(light.spectrum):  # the probe may have missed what is bright
+                count = max(1, photons // (len(lights) * batches * copies))
+                power = 1 / (count * copies)
+            else:
+                continue
+            runs.append(Run(light, number, band, multiples[number], count, copies, power))
+    if not runs:
+        raise darkness(lights)
+    return runs
+
+
+def _distinct(
+    medium: Medium | PerlinMedium, lights: Sequence[Light]
+) -> list[tuple[int, list[dict[int, float]]]]:
+    """[(band, [{band: its multiple} for each light])]: bands that are alike are traced once."""
+    distinct: list[tuple[int, list[dict[int, float]]]] = []
+    for band in range(medium.bands):
+        for base, multiples in distinct:
+            optics = [medium.sigma_s, medium.sigma_a, medium.g]
+            if medium.occlusion is not None:
+                optics.append(medium.occlusion_albedo)
+            alike = all(np.array_equal(v[band], v[base]) for v in optics)
+            factors = [multiple([light], medium, band, base) for light in lights]
+            if alike and None not in factors:
+                for bands, factor in zip(multiples, factors, strict=True):
+                    bands[band] = factor
+                break
+        else:
+            distinct.append((band, [{band: 1.0} for _ in lights]))
+    return distinct
+
+
+def _probe(light: Light, medium: Medium | PerlinMedium, band: int, seed: int) -> Floats:
+    """(_PROBE,) W that as many photons of a light carry: how bright it is."""
+    return light.emit(_PROBE, medium, np.random.default_rng([seed, 0]), band)[2]
