@@ -11,7 +11,8 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.photons.majorants import constant_majorants, linear_majorants
+from lb_lighting.transport.photons.linear_majorants import linear_majorants
+from lb_lighting.transport.photons.majorants import constant_majorants
 from tests.benchmarks.table import publish
 from tests.setup import heads
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from lb_lighting.transport.photons.majorants import constant_majorants, linear_majorants
+from lb_lighting.transport.photons.linear_majorants import linear_majorants
+from lb_lighting.transport.photons.majorants import constant_majorants
 from lb_lighting.transport.photons.perlin import PerlinMedium
 from tests.benchmarks.freepath import CONTRASTS, SUPERVOXELS
 from tests.benchmarks.table import BUILD

@@ -18,12 +18,11 @@ order in the edge of the finest cell.
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import prod
 
 import numpy as np
 
-from ...arrays import Booleans, Floats, Vector
+from ...arrays import Floats
 from ...errors import (
     MediumError,
     SettingsError,
@@ -35,6 +34,7 @@ from .. import device as devices
 from ..backend import backend_of
 from ..device import Device
 from ..medium import Medium
+from .linear_majorants import linear_majorants
 from .majorants import (
     FineGrid,
     Majorants,
@@ -42,71 +42,14 @@ from .majorants import (
     constant_majorants,
     cost,
     fine_cells,
-    linear_majorants,
 )
+from .path_grid import PathGrid, enter
 from .perlin import PerlinMedium
 
 SAMPLERS = ("ray_march", "woodcock", "supervoxel_constant", "supervoxel_linear")
 _MOST_VALUES = 2**31 - 1  # that kernels can number
 _MOST_CELLS = 128  # along an edge of noise: the bound of more would take longer than it saves
 MOST_STEPS = 10**8  # of one path, before it is given up: a minute or so
-
-
-@dataclass(frozen=True)
-class PathGrid:
-    """What paths step through; lengths are in fine cells, see `majorants`.
-
-    sampler   one of SAMPLERS
-    medium    the `Medium` or `PerlinMedium`
-    linear    whether the density is linear between voxel centres, not constant in voxels
-    fine      `FineGrid`; it has no values where the density is a function
-    majorants  `Majorants` of super-voxels; None for the samplers that have none
-    global_majorant  an upper bound of the density everywhere, for Woodcock's sampler; else 0
-    """
-
-    sampler: str
-    medium: Medium | PerlinMedium
-    linear: bool
-    fine: FineGrid
-    majorants: Majorants | None
-    global_majorant: float
-
-    @property
-    def procedural(self) -> bool:
-        return isinstance(self.medium, PerlinMedium)
-
-    @property
-    def noise(self) -> PerlinMedium:
-        """The medium of a procedural grid."""
-        assert isinstance(self.medium, PerlinMedium)
-        return self.medium
-
-    @property
-    def size(self) -> int:
-        """Fine cells along an edge of a super-voxel."""
-        return 1 if self.majorants is None else self.majorants.size
-
-    @property
-    def cells(self) -> tuple[int, ...]:
-        """(3,) super-voxels."""
-        return tuple(-(-n // self.size) for n in self.fine.shape)
-
-    @property
-    def polynomial(self) -> bool:
-        """Whether the bound is trilinear in a super-voxel; that of a linear fine cell is."""
-        if self.sampler == "ray_march":
-            return self.linear
-        return self.sampler == "supervoxel_linear"
-
-    def fine_from_world(self, points: Floats | Vector) -> Floats:
-        """Points (..., 3) in m -> coordinates in fine cells, float64."""
-        medium = self.medium
-        return (np.asarray(points, float) - medium.origin) / medium.voxel_size + self.fine.lower
-
-    def per_depth(self, band: int) -> float:
-        """Density times fine cells in an optical depth of 1; infinite in a vacuum."""
-        scale = float(self.medium.sigma_t[band]) * self.medium.voxel_size
-        return 1 / scale if scale > 1e-37 else np.inf
 
 
 def path_grid(
@@ -302,31 +245,6 @@ def check_rays(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
             f"direction of no length; the first is ray {np.argmax(bad)}."
         )
     return origins, directions / lengths
-
-
-def enter(grid: PathGrid, origins: Floats, directions: Floats) -> tuple[Floats, Floats, Booleans]:
-    """Where rays enter the domain: (start, points, hit).
-
-    start   (n,) fine cells from the origin to the domain, 0 inside it
-    points  (n, 3) where they enter, in fine cells, in the domain
-    hit     (n,) whether they do
-    In float64, so that rays from far away lose nothing.
-    """
-    points = grid.fine_from_world(origins)
-    upper = np.asarray(grid.fine.upper)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        to_lower = (grid.fine.lower - points) / directions
-        to_upper = (upper - points) / directions
-    # Parallel to a pair of faces: always between them, or never.
-    parallel = directions == 0
-    between = (points >= grid.fine.lower) & (points < upper)
-    near = np.where(parallel, np.where(between, -np.inf, np.inf), np.minimum(to_lower, to_upper))
-    far = np.where(parallel, np.inf, np.maximum(to_lower, to_upper))
-    start = np.maximum(near.max(axis=1), 0)
-    hit = start < far.min(axis=1)
-    start = np.where(hit, start, 0)
-    points = np.clip(points + start[:, None] * directions, grid.fine.lower, upper)
-    return start, points, hit
 
 
 def refuse_violations(violations: int) -> None:

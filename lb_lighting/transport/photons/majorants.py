@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Upper bounds of a density in super-voxels, which the free path samplers step through.
+"""Majorants: upper bounds of a density in super-voxels, which the free path samplers step through.
 
 Lengths are in fine cells, the pieces in which the density is one polynomial: the voxels where it
 is constant in them, the boxes between voxel centres where it is linear between those. A
 super-voxel is a cube of `size` fine cells an edge; cell (i, j, k) begins at (i, j, k) * size.
-
-The linear bound of a super-voxel is the trilinear function of the least mean that is nowhere
-below the density. Majorants minus density is trilinear in a fine cell, so it is least at a corner,
-and it is enough to demand the bound at the nodes: a linear program in the 8 values that the
-bound has at the super-voxel's corners.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,9 +13,6 @@ import numpy as np
 
 from ...arrays import Floats, Integers
 from ...errors import SettingsError, require_known
-from .. import device as devices
-from ..backend import backend_of
-from ..device import Device
 
 INTERPOLATIONS = ("constant", "linear")
 KINDS = ("constant", "linear")
@@ -29,25 +21,14 @@ KINDS = ("constant", "linear")
 # a bound, its coefficients, local coordinates and sum, and the interpolation of the density make
 # fewer than 32 of them, each of at most the sum of the coefficients' magnitudes.
 _ROUNDING = 2.0**-24
-_MARGIN = 32 * _ROUNDING
+MARGIN = 32 * _ROUNDING
 
-# Maximum densities beyond which they would underflow or overflow on the way.
-_SMALLEST, _LARGEST = 1e-30, 1e30
-
-_FINEST = 32  # nodes an edge, less one, of the largest linear program; beyond, blocks are merged
 _SCRATCH = 2**27  # bytes for the kernel's node values at a time
 
 # The corners of a super-voxel, z fastest, and the powers of x, y, z in the terms of a bound.
-_CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-_TERMS = np.array(
+CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+TERMS = np.array(
     [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (1, 1, 1)]
-)
-# Coefficients from corner values: a term takes the alternating sum of the corners below it.
-_COEFFICIENTS = np.array(
-    [
-        [(-1.0) ** (term - corner).sum() if np.all(corner <= term) else 0.0 for corner in _CORNERS]
-        for term in _TERMS
-    ]
 )
 
 # The cost of crossing one super-voxel in that of one tentative collision, by kind of bound, and
@@ -109,38 +90,11 @@ def fine_cells(density: Floats, interpolation: str = "constant") -> FineGrid:
 def constant_majorants(density: Floats, size: int, interpolation: str = "constant") -> Majorants:
     """The maximum density of each super-voxel. SettingsError for a size below 1."""
     grid = fine_cells(density, interpolation)
-    _require_size(size)
-    values = _block_maxima(grid.values, grid.shape, size)
+    require_size(size)
+    values = block_maxima(grid.values, grid.shape, size)
     if interpolation == "linear":  # interpolating rounds, a voxel's own value does not
-        values = (values * (1 + _MARGIN)).astype(np.float32)
-    return Majorants(size, values, _mean(values[..., None], _TERMS[:1], grid, size))
-
-
-def linear_majorants(
-    density: Floats, size: int, interpolation: str = "constant", device: Device | str | None = None
-) -> Majorants:
-    """The `Majorants` by the least trilinear function in each super-voxel.
-
-    It is at most 0.1 % above the least mean that is possible (up to 32 fine cells an edge; beyond,
-    it bounds the maxima of small blocks), and in no super-voxel looser than the constant bound.
-    device  as in `device.choose`; NumPy computes in float64, OpenCL in float32
-    SettingsError for a size below 1.
-    """
-    grid = fine_cells(density, interpolation)
-    _require_size(size)
-    merged = _merged(size, max(grid.shape))
-    if merged == 1:
-        problem = Problem(grid.values, grid.shape, size, interpolation == "constant")
-    else:
-        blocks = _block_maxima(grid.values, grid.shape, merged)
-        problem = Problem(blocks, blocks.shape, size // merged, True)
-    values = np.empty((*problem.cells, 8), np.float32)
-    constant = constant_majorants(density, size, interpolation).values
-    backend = backend_of(devices.choose(device))
-    for layers, slab in problem.slabs():
-        corners = backend.least_corners(slab)
-        values[layers] = _polynomials(corners, constant[layers], slab, interpolation)
-    return Majorants(size, values, _mean(values, _TERMS, grid, size))
+        values = (values * (1 + MARGIN)).astype(np.float32)
+    return Majorants(size, values, mean_of(values[..., None], TERMS[:1], grid, size))
 
 
 def sizes(shape: Sequence[int]) -> list[int]:
@@ -161,11 +115,11 @@ def choose_size(
     require_known(kind, KINDS, "kind of bound")
     grid = fine_cells(density, interpolation)
     mean = float(np.mean(density, dtype=float))
-    maxima, costs = _block_maxima(grid.values, grid.shape, 1), {}
+    maxima, costs = block_maxima(grid.values, grid.shape, 1), {}
     for size in sizes(grid.shape):
         if size > 1:
-            maxima = _block_maxima(maxima, maxima.shape, 2)
-        bound = _mean(maxima[..., None], _TERMS[:1], grid, size)
+            maxima = block_maxima(maxima, maxima.shape, 2)
+        bound = mean_of(maxima[..., None], TERMS[:1], grid, size)
         # The middle node of 2 x 2 x 2 voxels takes their maximum, and so does any linear bound.
         if kind == "linear" and (size > 2 or interpolation == "linear"):
             bound = mean + LINEAR_EXCESS * (bound - mean)
@@ -183,18 +137,12 @@ def cost(kind: str, size: int, depth: float) -> float:
     return CELL_COST[kind] * 1.5 / size + depth
 
 
-def _require_size(size: int) -> None:
+def require_size(size: int) -> None:
     if size < 1:
         raise SettingsError(f"A super-voxel must have 1 fine cell or more an edge, not {size}.")
 
 
-def _merged(size: int, longest: int) -> int:
-    """Fine cells an edge of the blocks that a linear program of few enough nodes can tell apart."""
-    extent = min(size, longest)
-    return next(n for n in range(1, size + 1) if size % n == 0 and extent <= n * _FINEST)
-
-
-def _block_maxima(values: Floats, fine: Sequence[int], size: int) -> Floats:
+def block_maxima(values: Floats, fine: Sequence[int], size: int) -> Floats:
     """(mx, my, mz): the largest of `values` in each cube of `size` of the `fine` cells (3,).
 
     `values` are one a cell, or nodes, one more along each axis; cubes share those on their faces.
@@ -213,7 +161,7 @@ def _block_maxima(values: Floats, fine: Sequence[int], size: int) -> Floats:
     return values
 
 
-def _mean(values: Floats, terms: Integers, grid: FineGrid, size: int) -> float:
+def mean_of(values: Floats, terms: Integers, grid: FineGrid, size: int) -> float:
     """The mean over the domain of polynomials (mx, my, mz, terms).
 
     The mean of a multilinear function over a box is its value at the centre.
@@ -270,31 +218,3 @@ class Problem:
             values = self.values[begin : end + (0 if self.blocky else 1)]
             slab = Problem(values, (end - begin, *self.fine[1:]), self.size, self.blocky)
             yield slice(first, last), slab
-
-
-def _polynomials(corners: Floats, constant: Floats, problem: Problem, interpolation: str) -> Floats:
-    """(mx, my, mz, 8) float32 coefficients from the corner values of what each super-voxel has.
-
-    Where that is no better than the constant bound (mx, my, mz), it becomes the constant bound.
-    """
-    values = np.empty(corners.shape, np.float32)
-    x, y, z = (problem.size / problem.extents(axis) for axis in range(3))
-    for layer, stretch in enumerate(x):  # one at a time, for the sake of the cache
-        usable = (constant[layer] > _SMALLEST) & (constant[layer] < _LARGEST)
-        coefficients = np.where(usable[..., None], corners[layer], 0) @ _COEFFICIENTS.T
-        slope = np.abs(coefficients[..., 1:]).sum(axis=-1)
-        size = np.abs(coefficients[..., 0]) + slope
-        # Where bound and density are both constant, nothing is rounded.
-        coefficients[..., 0] += _MARGIN * size * ((slope > 0) | (interpolation == "linear"))
-        mean = coefficients @ 0.5 ** _TERMS.sum(axis=1)
-        worse = ~(usable & (mean < constant[layer]))
-        coefficients[worse] = 0
-        coefficients[worse, 0] = constant[layer][worse]
-        # From coordinates along what there is of the super-voxel to those along the whole.
-        stretches = stretch, y[:, None], z[None, :]
-        for term, powers in enumerate(_TERMS):
-            for along, power in zip(stretches, powers, strict=True):
-                if power:
-                    coefficients[..., term] *= along
-        values[layer] = coefficients
-    return values

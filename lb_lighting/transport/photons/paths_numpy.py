@@ -7,7 +7,7 @@ All paths take a step together; those that have ended drop out.
 import numpy as np
 
 from ...arrays import Array, Booleans, Floats, Integers
-from .free_path import PathGrid
+from .path_grid import PathGrid
 from .tallies import (
     ABSORBED,
     COLLISIONS,
@@ -148,6 +148,7 @@ class NumpyPaths:
         for step in range(1, most_steps + 1):
             if not len(going):
                 break
+            # Advance all paths to their next event, and score the way there.
             event = walk.advance(going)
             if self.opaque is not None:
                 ends = np.isin(event, (COLLIDED, LEFT)) | (step == most_steps)
@@ -160,26 +161,22 @@ class NumpyPaths:
             turning = np.concatenate([hit, stopped])
             self._score(walk, np.concatenate([turning, left]), weight, turned, score_at, spacing)
 
+            # Absorb, end what becomes a collision source, count what leaves.
             turned[turning] = True
             collisions[hit] += 1
-            kept = weight[turning] * albedo
-            if len(stopped) and self.opaque is not None:
-                by = walk.stopped_by[stopped]
-                kept[len(hit) :] = weight[stopped] * self.opaque[1].flat[by]
-            self.sums[ABSORBED] += (_units(weight[turning]) - _units(kept)).sum()
-            weight[turning] = kept
+            self._absorb(walk, hit, stopped, weight, albedo)
             given = hit[collisions[hit] == last]
             if len(given):
                 self._hand_over(walk, given, weight[given])
+            self._count_left(walk, left, weight)
 
-            through = walk.face(left)
-            for n in range(6):
-                self.sums[LEFT_THROUGH + n] += _units(weight[left[through == n]]).sum()
-
+            # End paths of little weight at random.
             light = np.setdiff1d(turning[weight[turning] < least[turning]], given)
             dead = light[self._roulette(walk, light, weight)]
             ended = np.concatenate([given, left, dead])
             self.sums[COLLISIONS] += collisions[ended].sum()
+
+            # Scatter or reflect the others, and start their next flights.
             hit = np.setdiff1d(hit, ended, assume_unique=True)
             stopped = np.setdiff1d(stopped, ended, assume_unique=True)
             alive = np.concatenate([hit, stopped])
@@ -195,6 +192,24 @@ class NumpyPaths:
         self.sums[LOST_PHOTONS] += len(going)
         self.sums[COLLISIONS] += collisions[going].sum()
         self.sums[VIOLATIONS] += np.count_nonzero(walk.violated)
+
+    def _absorb(
+        self, walk: Walk, hit: Integers, stopped: Integers, weight: Floats, albedo: float
+    ) -> None:
+        """Take from the weights what collisions, and opaque voxels, absorb."""
+        turning = np.concatenate([hit, stopped])
+        kept = weight[turning] * albedo
+        if len(stopped) and self.opaque is not None:
+            by = walk.stopped_by[stopped]
+            kept[len(hit) :] = weight[stopped] * self.opaque[1].flat[by]
+        self.sums[ABSORBED] += (_units(weight[turning]) - _units(kept)).sum()
+        weight[turning] = kept
+
+    def _count_left(self, walk: Walk, left: Integers, weight: Floats) -> None:
+        """Count the weights that leave through each face."""
+        through = walk.face(left)
+        for n in range(6):
+            self.sums[LEFT_THROUGH + n] += _units(weight[left[through == n]]).sum()
 
     def _roulette(self, walk: Walk, rays: Integers, weight: Floats) -> Booleans:
         """Which of the light photons die; the others gain what these lose, on average."""

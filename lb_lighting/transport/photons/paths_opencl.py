@@ -12,7 +12,7 @@ import pyopencl as cl
 
 from ...arrays import Array, Floats, Integers
 from ..device import Device, context, program, queue
-from .free_path import PathGrid
+from .path_grid import PathGrid
 from .tallies import (
     SUMS,
     UNIT,

@@ -30,7 +30,8 @@ from ..medium import Medium
 from ..monitor import Cancel, Monitor, Progress
 from . import tallies
 from .estimates import Estimates
-from .free_path import MOST_STEPS, PathGrid, enter, path_grid
+from .free_path import MOST_STEPS, path_grid
+from .path_grid import PathGrid, enter
 from .perlin import PerlinMedium
 from .schedule import AT_ONCE, COPIES, Run, batches_of, runs_of
 from .tallies import Opaque, Wanted

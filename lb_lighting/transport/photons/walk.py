@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...arrays import Booleans, Floats, Integers
-from .free_path import PathGrid
+from .path_grid import PathGrid
 from .random import RandomStreams
 
 CROSSED, VIRTUAL, COLLIDED, LEFT, STOPPED = range(5)  # how a step ends

@@ -34,7 +34,8 @@ from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
 from ..medium import Domain, Medium
-from ..photons.free_path import PathGrid, enter, path_grid, refuse_violations
+from ..photons.free_path import path_grid, refuse_violations
+from ..photons.path_grid import PathGrid, enter
 from ..photons.perlin import PerlinMedium
 from ..photons.tallies import Opaque
 

@@ -4,7 +4,7 @@
 import numpy as np
 
 from ...arrays import Floats, Integers
-from ..photons.free_path import PathGrid
+from ..photons.path_grid import PathGrid
 from ..photons.tallies import Opaque
 from ..photons.walk import COLLIDED, CROSSED, LEFT, STOPPED, VIRTUAL, Walk
 

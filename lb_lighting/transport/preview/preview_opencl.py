@@ -7,7 +7,7 @@ import numpy as np
 
 from ...arrays import Floats, Integers
 from ..device import Device
-from ..photons.free_path import PathGrid
+from ..photons.path_grid import PathGrid
 from ..photons.paths_opencl import GROUP, OpenclPaths, kernel
 from ..photons.tallies import Opaque
 

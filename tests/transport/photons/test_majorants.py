@@ -9,12 +9,12 @@ import pytest
 
 from lb_lighting.errors import SettingsError
 from lb_lighting.transport import device
+from lb_lighting.transport.photons.linear_majorants import linear_majorants
 from lb_lighting.transport.photons.majorants import (
     Majorants,
     choose_size,
     constant_majorants,
     fine_cells,
-    linear_majorants,
     sizes,
 )
 

@@ -11,7 +11,8 @@ import pytest
 
 from lb_lighting.transport import Medium, device
 from lb_lighting.transport.backend import backend_of
-from lb_lighting.transport.photons.free_path import SAMPLERS, FreePathSampler, enter
+from lb_lighting.transport.photons.free_path import SAMPLERS, FreePathSampler
+from lb_lighting.transport.photons.path_grid import enter
 from lb_lighting.transport.photons.perlin import STRONG, WEAK, PerlinMedium
 from lb_lighting.transport.photons.random import RandomStreams
 from tests.statistics import chi_square, sidak, uniform
