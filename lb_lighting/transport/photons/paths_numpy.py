@@ -139,10 +139,8 @@ class NumpyPaths:
         spacing: float,
         last: int,
     ) -> None:
-        going = np.arange(len(weight))
-        least = weight * 0.1
-        collisions = np.zeros(len(weight), int)
-        turned = np.zeros(len(weight), bool)
+        going, least = np.arange(len(weight)), weight * 0.1
+        collisions, turned = np.zeros(len(weight), int), np.zeros(len(weight), bool)
         score_at = walk.random.next(going) * spacing
         walk.start_flights(going)
         for step in range(1, most_steps + 1):
@@ -188,8 +186,7 @@ class NumpyPaths:
             walk.start_flights(alive)
             going = np.setdiff1d(going, ended, assume_unique=True)
         self._score(walk, going, weight, turned, score_at, spacing)
-        self.sums[LOST] += _units(weight[going]).sum()
-        self.sums[LOST_PHOTONS] += len(going)
+        self._count_lost(going, weight)
         self.sums[COLLISIONS] += collisions[going].sum()
         self.sums[VIOLATIONS] += np.count_nonzero(walk.violated)
 
@@ -210,6 +207,11 @@ class NumpyPaths:
         through = walk.face(left)
         for n in range(6):
             self.sums[LEFT_THROUGH + n] += _units(weight[left[through == n]]).sum()
+
+    def _count_lost(self, going: Integers, weight: Floats) -> None:
+        """Count the paths, and their weights, that took too many steps."""
+        self.sums[LOST] += _units(weight[going]).sum()
+        self.sums[LOST_PHOTONS] += len(going)
 
     def _roulette(self, walk: Walk, rays: Integers, weight: Floats) -> Booleans:
         """Which of the light photons die; the others gain what these lose, on average."""
