@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The first collisions of rays. Built behind photons/paths.cl; transport/photons/paths_numpy.py is the twin.
+// The first collisions of rays. Built after photons/paths.cl; the twin is
+// transport/photons/paths_numpy.py.
 
 // The distance to the first real collision of every ray, infinite where it leaves the domain, NaN
 // where it took over `most_steps` steps. A work-item counts the particles that its rays met, real
-// or virtual, and the rays whose bound was violated. Work-items take rays in turn, as soon as they are done
-// with one, so that those side by side in a vector are all busy.
+// or virtual, and the rays whose majorant was violated. A work-item takes the next ray as soon as it
+// has finished one, so that all lanes of a vector stay busy.
 __kernel void free_paths(GRID_PARAMETERS, __global const float *rays,
                          __global const uint *indices, const int count, const uint seed,
                          const int most_steps,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The least trilinear function above the density in each super-voxel, by the dual simplex method;
-// bounds.py tells the method, and its _least_corners is the twin. One work-item a super-voxel,
-// LANES to a group, whose node values lie side by side.
+// transport/photons/majorants_numpy.py describes it and is the twin. A work-item solves one
+// super-voxel; a group has LANES of them, and their node values lie side by side.
 //
 // Built with LANES, EXCHANGES (most of them), TOLERANCE (of the mean), SMALLEST_PIVOT.
 
@@ -58,7 +58,7 @@ __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 node
 
     float best = INFINITY;
     for (int exchange = 0; exchange <= EXCHANGES; exchange++) {
-        // The node that the function misses by most.
+        // Find the node that the function misses by most.
         float excess = 0.0f;
         int3 worst = (int3)(0);
         for (int i = 0; i < nodes.x; i++) {
@@ -90,7 +90,7 @@ __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 node
         if (!(excess > TOLERANCE * mean))
             break;
 
-        // It comes in, and the one goes whose share would be the first to turn negative.
+        // It enters the basis; the node whose share would turn negative first leaves it.
         const float3 at = convert_float3(worst) * unit;
         float weight[CORNERS], entering[CORNERS];
 #pragma unroll

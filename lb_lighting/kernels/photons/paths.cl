@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel under an
-// upper bound of the density, and meets real and virtual particles. transport/photons/walk.py is
-// its twin.
+// upper bound of the density, and meets real and virtual particles. The twin is
+// transport/photons/walk.py.
 //
-// Lengths are in fine cells. Built behind photons/random.cl with
+// Lengths are in fine cells. Built after photons/random.cl with
 //   RAY_MARCH or WOODCOCK       else super-voxels
 //   POLYNOMIAL                  the bound of a super-voxel is trilinear, else constant
 //   LINEAR                      the density is linear between nodes, else constant in fine cells

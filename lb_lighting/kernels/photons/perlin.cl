@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Fractal noise that is never stored, as a density: transport/photons/perlin.py says what it is and is its
-// twin. There is no kernel here; sources that need the functions are built behind this one, and
-// this behind photons/random.cl.
+// The density of fractal noise, which is never stored. transport/photons/perlin.py describes it and is
+// the twin. There is no kernel here: sources that need the functions are built after this one, and
+// this one after photons/random.cl.
 //
 // A kernel takes PERLIN_PARAMETERS, in the order of PerlinMedium.device_arguments, and calls the
 // functions with PERLIN. Positions are in cells of the finest lattice; an octave's scale is a power
@@ -64,8 +64,8 @@ float perlin_frame(const uint seed, const int octave, const int frame, const flo
                           fx);
 }
 
-// The noise of one octave. A loop, as compilers that vectorise would compute both frames, at double
-// the cost, and choose behind a condition.
+// The noise of one octave. It is a loop, because compilers that vectorise a condition would compute
+// both frames, at double the cost.
 float perlin_octave(const Perlin m, const int octave, const float x, const float y, const float z)
 {
     const int last = m.frame + (m.frac > 0.0f);
@@ -96,9 +96,9 @@ float perlin_density(const Perlin m, const float x, const float y, const float z
     return powr(fmax(0.0f, (noise - m.cutoff) / (1.0f - m.cutoff)), m.power);
 }
 
-// Whether the density is over `threshold` (0 or more). The same as comparing perlin_density, but
-// the comparison is made for the noise, which is known well enough after a few octaves: those that
-// are left add between nothing and the sum of their amplitudes.
+// Whether the density is over `threshold` (0 or more). The result equals a comparison of
+// perlin_density, but it compares the noise, which a few octaves decide most of the time: the other
+// octaves add between 0 and the sum of their amplitudes.
 int perlin_exceeds(const Perlin m, const float x, const float y, const float z,
                    const float threshold)
 {

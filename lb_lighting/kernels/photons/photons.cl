@@ -1,20 +1,19 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Photons on free paths: they scatter, lose weight by absorption, and leave scores in a grid of
-// tallies. transport/photons/paths_numpy.py is the twin. Built behind photons/scatter.cl, with
-//   KEEP_DIRECT  light is wanted, too, that has neither collided nor been reflected
-//   KEEP_FLUX    the flux is wanted, too
-//   OCCLUSION    voxels are opaque; fine cells are the voxels then
+// Photons on free paths: they scatter, lose weight by absorption, and score in a grid of tallies.
+// The twin is transport/photons/paths_numpy.py. Built after photons/scatter.cl, with
+//   KEEP_DIRECT  tally uncollided light, too
+//   KEEP_FLUX    tally the flux, too
+//   OCCLUSION    voxels are opaque; fine cells are voxels
 //
-// Scores are whole numbers of UNIT, added in any order to the same sum: a seed gives the same
-// result however a device schedules its work. A tally is 64 bits in two words of 32, which every
-// device can add atomically; all lower words come first in memory, as the upper ones are rarely
-// needed. What is scored together lies side by side.
+// Scores are integers in units of UNIT, so their sum does not depend on the order: a seed gives the
+// same result however the device schedules its work. A tally has 64 bits in two words of 32, which
+// every device can add atomically. All lower words come first in memory, because the upper ones are
+// rarely needed. Quantities that are scored together lie side by side.
 
 #define UNIT 0x1p24f // in a weight of 1; one of up to 64 fits a signed word
 
 // What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
-// Of light that has neither collided nor been reflected, where KEEP_DIRECT: its weight. Of light
-// that has:
+// Uncollided light, with KEEP_DIRECT: its weight. Scattered or reflected light:
 #define WEIGHT 0 // its weight
 #define FLUX 1   // three, where KEEP_FLUX: weight and direction
 #ifdef KEEP_FLUX
@@ -23,7 +22,7 @@
 #define SCATTERED_TALLIES 1
 #endif
 
-// Of photons that are handed over:
+// Photons that become a collision source:
 #define POWER 0     // their weight
 #define POSITION 1  // three: weight and place in the voxel, from -1/2 to 1/2
 #define DIRECTION 4 // three: weight and direction before the last collision
@@ -33,8 +32,8 @@
 #define ABSORBED 0
 #define LEFT_THROUGH 1 // six: faces -x, +x, -y, +y, -z, +z
 #define HANDED 7
-#define LOST 8         // the weight of those that took too many steps
-#define LOST_PHOTONS 9 // how many these are, and so on
+#define LOST 8         // the weight of photons that took too many steps
+#define LOST_PHOTONS 9 // their number; the rest are numbers, too
 #define VIOLATIONS 10
 #define COLLISIONS 11
 #define SUMS 12
@@ -92,7 +91,7 @@ static size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, 
     return ((size_t)i * v.ny + j) * v.nz + k;
 }
 
-// Score a flight, up to where it has come, at the points that are due; when the next one is.
+// Score a flight up to its present point. Returns where the next score is due.
 static float score(const Path *p, const Tallies v, float at, const float spacing,
                    const float weight, const int turned, __global uint *direct,
                    __global uint *scattered)
@@ -140,11 +139,11 @@ static int face(const Path *p, const Grid g)
 // photons    7 x count: origin in fine cells, unit direction, weight from 0 to 64
 // copies     paths that begin as each photon does
 // first      number of the first path
-// spacing    a path is scored at points this far apart, the first at random: in expectation its
-//            length in every voxel, over `spacing` (a track length estimator)
-// last       the collision at which a photon is handed over instead of scattered, or 0
-// occlusion  by voxel, as its albedo: the shares stopped, and reflected of what is stopped; not
-//            read but where OCCLUSION
+// spacing    between two scores of a path, the first at random: the expected score of a voxel is
+//            the length of the path in it, over `spacing` (a track length estimator)
+// last       the collision at which a photon becomes a collision source, or 0
+// occlusion  share of the light that each voxel stops; its albedo is the share of that which it
+//            reflects. Read only with OCCLUSION
 __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, const int count,
                             const int copies, const uint seed, const uint first,
                             const int most_steps, const float albedo, const float mean_cosine,
@@ -233,8 +232,8 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
         sums[SUMS * get_global_id(0) + n] += sum[n];
 }
 
-// After batch number `batch`, from 1 on: what it scored in a voxel, beyond what there was `before`,
-// goes into the sum of squared deviations from the mean of the batches (Welford 1962).
+// After batch number `batch`, counted from 1: add its score, which is the tally less `before`, to
+// the sum of squared deviations from the mean of the batches (Welford 1962).
 __kernel void take_batch(__global const uint *scattered, const int batch, __global ulong *before,
                          __global float *deviation)
 {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Random numbers: xoshiro128++ (Blackman and Vigna 2021), a stream of its own for every ray.
+// Random numbers: xoshiro128++ (Blackman and Vigna 2021), one stream for each ray.
 
 typedef struct {
     uint a, b, c, d;

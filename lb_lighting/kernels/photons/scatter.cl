@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // What turns a path: the medium, which scatters, and opaque voxels, which stop and reflect.
-// Built behind photons/paths.cl with
+// Built after photons/paths.cl with
 //   OCCLUSION  voxels are opaque; fine cells are the voxels then
 // transport/photons/walk.py is the twin.
 

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The light that rays from a camera see: paths backwards, from the camera to the lights.
-// transport/preview/preview_numpy.py is the twin. Built behind photons/scatter.cl, with
-//   EMISSION  voxels shine; fine cells are the voxels then
+// Paths from a camera to the lights. The twin is transport/preview/preview_numpy.py. Built after
+// photons/scatter.cl, with
+//   EMISSION  voxels emit; fine cells are voxels
 //
-// At each collision a free path is drawn towards each light; where it gets there, the light counts.
-// So a path is a flight of its own, a flight to each light, a flight of its own ... Both kinds take
-// their steps in one loop, so that work-items side by side in a vector are all busy.
+// At each collision a free path is drawn towards each light, and the light counts if it arrives. So a
+// path alternates between its own flight and one flight to each light. Both kinds take their steps in
+// one loop, so that all lanes of a vector stay busy.
 //
-// x, y and z of what is a float4 below are three bands.
+// x, y and z of a float4 are three bands.
 
-// The radiance that a collision sends back along the flight `p`, were nothing in the light's way;
-// turns `p` to the light. A light is eight numbers: the vector to a sun, or the place of a point
-// light; whether it is this; what arrives, W/m^2, from a point light one fine cell away.
-// `face` is the axis of the opaque face that was met, or -1 in the medium.
+// The radiance that a collision sends back along the flight `p` if nothing blocks the light; turns
+// `p` to the light. A light is eight numbers: the vector to a sun, or the position of a point light;
+// whether it is a point light; and its irradiance, W/m^2, which of a point light is that one fine
+// cell away. `face` is the axis of the opaque face that was met, or -1 in the medium.
 static float4 aim(Path *p, const float8 light, const float mean_cosine, const int face,
                   float *distance)
 {
@@ -41,8 +41,8 @@ static float4 aim(Path *p, const float8 light, const float mean_cosine, const in
            (light.s3 > 0.0f ? share / squared : share);
 }
 
-// Light that the medium emits along a flight up to where it has come, at points a fine cell apart,
-// of which the next is at `at`; where the one after that is. `emission` is radiance on a fine cell.
+// Light that the medium emits along a flight up to its present point, scored at points a fine cell
+// apart, the next at `at`. Returns the one after that. `emission` is the radiance of one fine cell.
 static float glow(const Path *p, const Grid g, float at, const float4 weight,
                   __global const float *emission, float4 *light)
 {
@@ -59,11 +59,11 @@ static float glow(const Path *p, const Grid g, float at, const float4 weight,
 
 // rays       6 x count: where they enter the domain, in fine cells, and unit directions
 // numbers    of the rays, which choose their random numbers
-// most_collisions  of a path: what it would see behind them does not count
-// occlusion  by voxel, and four numbers by voxel of what it reflects of that; see photons/photons.cl
+// most_collisions  of a path; it ends there
+// occlusion  of each voxel, and four numbers of its albedo; see photons/photons.cl
 // seen       4 x count: light, W/(m^2 sr), and whether the ray met anything
 // left       8 x count: the direction in which a path that met something left the medium, and
-//            what counts of the light that comes from there; 1 for a path that took too many steps
+//            its weight in three bands; 1 for a path that took too many steps
 __kernel void see(GRID_PARAMETERS, __global const float *rays, __global const uint *numbers,
                   const int count, const uint seed, const int most_steps,
                   const int most_collisions, const float albedo_x, const float albedo_y,
