@@ -4,16 +4,26 @@
 Materials are read in Blender; `shining` needs none, and is done in the solver's process.
 """
 
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import Floats, Integers
 from ..errors import SceneError
-from .grids.resample import averaged
+from ..transport.medium import Domain
+from .grids.resample import Readable, averaged
+from .nodes.arithmetic import Scaled
+from .nodes.attributes import Attributes
 from .nodes.black_body import black_body_color
-from .nodes.shaders import Shader
-from .nodes.values import Scaled
+from .nodes.shaders import Closure, Shader
+
+if TYPE_CHECKING:
+    import bpy
 
 SHINING_NODES = {"EMISSION", "PRINCIPLED_VOLUME", "VOLUME_COEFFICIENTS"}
 DARK_NODES = {"VOLUME_SCATTER", "VOLUME_ABSORPTION"}
@@ -30,17 +40,17 @@ class Glow:
     limit     what counts of that grid at most
     """
 
-    color: tuple
+    color: tuple[float, ...]
     strength: str | None = None
     limit: float = np.inf
 
     @property
-    def grids(self):
+    def grids(self) -> list[str]:
         return [self.strength] if self.strength else []
 
     needed = grids  # those without which there is no light
 
-    def radiance(self, values):
+    def radiance(self, values: Mapping[str, Floats]) -> Floats:
         """(..., 3) W/(m^3 sr) where the grids have the `values`, {name: (...)}."""
         strength = Scaled(1.0, self.strength, self.limit).of(values)
         return np.multiply.outer(strength, self.color)
@@ -56,20 +66,20 @@ class BlackBody:
     named        whether the temperature's grid is only named, so that it counts as 1 without it
     """
 
-    tint: tuple
+    tint: tuple[float, ...]
     intensity: Scaled
     temperature: Scaled
     named: bool = True
 
     @property
-    def grids(self):
+    def grids(self) -> list[str]:
         return [s.attribute for s in (self.intensity, self.temperature) if s.attribute]
 
     @property
-    def needed(self):
+    def needed(self) -> list[str]:
         return [n for n in self.grids if not self.named or n != self.temperature.attribute]
 
-    def radiance(self, values):
+    def radiance(self, values: Mapping[str, Floats]) -> Floats:
         """(..., 3) W/(m^3 sr) where the grids have the `values`, {name: (...)}."""
         share = self.intensity.of(values)
         kelvin = np.maximum(self.temperature.of(values), 0.0)
@@ -77,7 +87,9 @@ class BlackBody:
         return strength[..., None] * black_body_color(kelvin) * self.tint
 
 
-def volume_glows(material, attributes=None):
+def volume_glows(
+    material: bpy.types.Material | None, attributes: Attributes | None = None
+) -> list[Glow | BlackBody]:
     """[Glow | BlackBody] of the volume of a material.
 
     attributes  what finds the attributes of the object that shows it, see attributes.py
@@ -92,14 +104,14 @@ def volume_glows(material, attributes=None):
     return [glow for closure in found for glow in _glows(shader, closure)]
 
 
-def _glows(shader, closure):
+def _glows(shader: Shader, closure: Closure) -> list[Glow | BlackBody]:
     kind = closure.node.type
     if kind == "VOLUME_COEFFICIENTS":
         color = closure.weight * shader.color(closure, "Emission Coefficients")
         return [Glow(tuple(color))] if color.any() else []
     names = ("Color", "Strength") if kind == "EMISSION" else ("Emission Color", "Emission Strength")
     strength = shader.scaled_attribute(closure, names[1])
-    glows = []
+    glows: list[Glow | BlackBody] = []
     if strength.scale > 0:
         color = closure.weight * strength.scale * shader.color(closure, names[0])
         glow = Glow(tuple(color), strength.attribute, strength.limit)
@@ -109,7 +121,7 @@ def _glows(shader, closure):
     return glows
 
 
-def _black_body(shader, closure):
+def _black_body(shader: Shader, closure: Closure) -> list[BlackBody]:
     intensity = shader.scaled_attribute(closure, "Blackbody Intensity")
     tint = closure.weight * shader.color(closure, "Blackbody Tint")
     if intensity.scale <= 0 or not tint.any():
@@ -126,7 +138,12 @@ def _black_body(shader, closure):
     return [BlackBody(tuple(tint), intensity, temperature, named=bool(named))]
 
 
-def shining(glows, cells, inside, domain):
+def shining(
+    glows: Sequence[Glow | BlackBody],
+    cells: Mapping[str, Readable],
+    inside: Readable,
+    domain: Domain,
+) -> Floats:
     """(3, nx, ny, nz) W/(m^3 sr): what `glows` emit, averaged over the voxels of `domain`.
 
     Between voxels what they shine with is interpolated, not their temperatures, as in Cycles.
@@ -144,7 +161,14 @@ def shining(glows, cells, inside, domain):
     return total
 
 
-def _radiance(glow, known, cells, place, first, values):
+def _radiance(
+    glow: Glow | BlackBody,
+    known: Collection[str],
+    cells: Mapping[str, Readable],
+    place: Readable,
+    first: Integers,
+    values: Floats,
+) -> Floats:
     """(3, ...) float32: what a glow emits in a block of `place`, with the `known` grids."""
     shape = values.shape[-3:]
     given = {
@@ -157,7 +181,7 @@ def _radiance(glow, known, cells, place, first, values):
     return np.moveaxis(np.asarray(radiance, np.float32), -1, 0)
 
 
-def _scalar(values, shape):
+def _scalar(values: Floats, shape: tuple[int, ...]) -> Floats:
     """Of a vector in each voxel the mean of its components, as Cycles takes it."""
     if values.ndim == 3:
         return values

@@ -1,15 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender materials as optical coefficients: volumes, and leaves as a turbid medium."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import Floats, Vector
 from ..errors import SceneError
 from ..ours import TAG
 from ..transport.medium import Optics
-from .nodes.shaders import Shader, may_be_positive
-from .nodes.values import Scaled
+from .nodes.arithmetic import Scaled
+from .nodes.attributes import Attributes
+from .nodes.links import GROUPS, Node
+from .nodes.shaders import Closure, Shader, may_be_positive
+
+if TYPE_CHECKING:
+    import bpy
 
 VOLUME_NODES = {
     "PRINCIPLED_VOLUME",
@@ -20,7 +30,7 @@ VOLUME_NODES = {
 REFLECTING_NODES = {"BSDF_DIFFUSE", "BSDF_GLOSSY", "SUBSURFACE_SCATTERING"}
 LEAF_NODES = REFLECTING_NODES | {"BSDF_PRINCIPLED", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT"}
 # Inputs of which all of one row have to be positive for a closure to shine.
-EMISSION_INPUTS = {
+EMISSION_INPUTS: dict[str, list[tuple[str, ...]]] = {
     "EMISSION": [("Strength", "Color")],
     "PRINCIPLED_VOLUME": [
         ("Emission Strength", "Emission Color"),
@@ -49,7 +59,7 @@ class VolumeOptics:
     needs_grid: bool = False
 
     @property
-    def is_clear(self):
+    def is_clear(self) -> bool:
         """Whether light passes as if it were not there."""
         return not np.any(np.add(self.optics.sigma_s, self.optics.sigma_a))
 
@@ -63,12 +73,12 @@ class Leaf:
     coverage       share of the surface that is there at all, the rest being transparent
     """
 
-    reflectance: tuple
-    transmittance: tuple
+    reflectance: tuple[float, ...]
+    transmittance: tuple[float, ...]
     coverage: float = 1.0
 
     @property
-    def optics(self):
+    def optics(self) -> Optics:
         """`Optics` for an extinction of 1 1/m: they multiply `foliage_density` times `coverage`.
 
         g = 4/9 (tau - rho)/(tau + rho) is the mean cosine of leaves turned every way (Ross 1981).
@@ -79,7 +89,22 @@ class Leaf:
         return grey(Optics(tuple(albedo), tuple(1 - albedo), tuple(g)))
 
 
-def grey(optics):
+@dataclass(frozen=True)
+class _VolumePart:
+    """What one closure adds to a volume.
+
+    sigma_s, sigma_a  (3,) 1/m where the density is 1
+    needs_grid        whether the density is 0 without its grid, not 1
+    """
+
+    sigma_s: Floats
+    sigma_a: Floats
+    g: float
+    density: Scaled
+    needs_grid: bool
+
+
+def grey(optics: Optics) -> Optics:
     """`optics` with scalars where all its bands are equal, so that one band is solved."""
     values = [np.atleast_1d(v) for v in (optics.sigma_s, optics.sigma_a, optics.g)]
     if any(np.ptp(v) for v in values):
@@ -87,14 +112,16 @@ def grey(optics):
     return Optics(*(float(v[0]) for v in values))
 
 
-def tinted(optics, color):
+def tinted(optics: Optics, color: Vector) -> Optics:
     """`optics` that absorb all but `color`, (3,) of 0 to 1, of what they scatter."""
     scattered = np.multiply(optics.sigma_s, color)
     absorbed = np.add(optics.sigma_a, np.subtract(optics.sigma_s, scattered))
     return grey(Optics(tuple(scattered), tuple(absorbed), optics.g))
 
 
-def volume_optics(material, attributes=None):
+def volume_optics(
+    material: bpy.types.Material | None, attributes: Attributes | None = None
+) -> VolumeOptics | None:
     """The `VolumeOptics` of a material, or None where it has no volume.
 
     attributes  what finds the attributes of the object that shows it, see attributes.py
@@ -113,32 +140,32 @@ def volume_optics(material, attributes=None):
     closures = shader.closures("Volume", VOLUME_NODES, ignored={"EMISSION"})
     parts = [_volume_closure(shader, closure) for closure in closures]
     # What is of no density does not matter, whatever grid it has.
-    parts = [part for part in parts if part[3].scale > 0]
+    parts = [part for part in parts if part.density.scale > 0]
     sigma_s, sigma_a, moment = np.zeros((3, 3))
-    for scattering, absorption, g, density, _needs_grid in parts:
-        sigma_s += scattering * density.scale
-        sigma_a += absorption * density.scale
-        moment += scattering * density.scale * g
-    grids = {(density.attribute, density.limit) for *_, density, _needs_grid in parts}
+    for part in parts:
+        sigma_s += part.sigma_s * part.density.scale
+        sigma_a += part.sigma_a * part.density.scale
+        moment += part.sigma_s * part.density.scale * part.g
+    grids = {(part.density.attribute, part.density.limit) for part in parts}
     if len(grids) > 1:
         raise SceneError(
             f"The volume nodes of '{material.name}' use different density attributes; "
             "give all of them the same."
         )
     attribute, limit = grids.pop() if grids else (None, np.inf)
-    g = np.divide(moment, sigma_s, out=np.zeros(3), where=sigma_s > 0)
+    g: Floats = np.divide(moment, sigma_s, out=np.zeros(3), where=sigma_s > 0)
     optics = grey(Optics(tuple(sigma_s), tuple(sigma_a), tuple(g)))
-    return VolumeOptics(optics, attribute, limit, any(part[4] for part in parts))
+    return VolumeOptics(optics, attribute, limit, any(part.needs_grid for part in parts))
 
 
-def has_surface(material):
+def has_surface(material: bpy.types.Material | None) -> bool:
     """Whether a surface is rendered; without a material there is a plain one."""
     if material is None:
         return True
     return bool(Shader(material).reaching("Surface"))
 
 
-def has_volume(material):
+def has_volume(material: bpy.types.Material | None) -> bool:
     """Whether a volume is rendered, be it one that `volume_optics` can read or not."""
     return material is not None and any(
         closure.node.type != "EMISSION" or _shines(closure)
@@ -146,7 +173,9 @@ def has_volume(material):
     )
 
 
-def first_volume(materials):
+def first_volume(
+    materials: Sequence[bpy.types.Material | None],
+) -> bpy.types.Material | None:
     """The one of the `materials` of a grid's slots that Cycles renders it with, or None.
 
     It is the first that has a volume, or just the first where none has; for an empty slot Cycles
@@ -156,19 +185,19 @@ def first_volume(materials):
     return next((m for m in materials if m is None or has_volume(m)), first)
 
 
-def volume_shines(material):
+def volume_shines(material: bpy.types.Material | None) -> bool:
     """Whether the volume of a material makes light itself."""
     return material is not None and any(map(_shines, Shader(material).reaching("Volume")))
 
 
-def _shines(closure):
+def _shines(closure: Closure) -> bool:
     return any(
         all(may_be_positive(closure, name) for name in factors)
         for factors in EMISSION_INPUTS.get(closure.node.type, ())
     )
 
 
-def leaf_optics(material, attributes=None):
+def leaf_optics(material: bpy.types.Material | None, attributes: Attributes | None = None) -> Leaf:
     """The `Leaf` that a surface material makes; a plain grey one for None.
 
     attributes  what finds the attributes of the object that shows it, see attributes.py
@@ -194,11 +223,12 @@ def leaf_optics(material, attributes=None):
     return Leaf(tuple(rho / share), tuple(tau / share), coverage)
 
 
-def _baked_optics(material):
+def _baked_optics(material: bpy.types.Material) -> VolumeOptics | None:
     """The `VolumeOptics` that a baked volume was lit with, copies of which are baked, too; None for
     any other material."""
-    for node in material.node_tree.nodes:
-        tree = getattr(node, "node_tree", None)
+    nodes: Iterable[Node] = material.node_tree.nodes if material.node_tree else ()
+    for node in nodes:
+        tree = node.node_tree if node.type in GROUPS else None
         if tree and tree.get(TAG) == BAKED_VOLUME:
             values = (
                 tuple(node.inputs[name].default_value) for name in ("Sigma S", "Sigma A", "G")
@@ -207,23 +237,21 @@ def _baked_optics(material):
     return None
 
 
-def _volume_closure(shader, closure):
-    """(sigma_s (3,), sigma_a (3,), g, density, whether that needs its grid), the first two where
-    the density, `Scaled`, is 1."""
+def _volume_closure(shader: Shader, closure: Closure) -> _VolumePart:
     kind = closure.node.type
     if kind == "VOLUME_COEFFICIENTS":
         scattering = shader.color(closure, "Scatter Coefficients")
         absorption = shader.color(closure, "Absorption Coefficients")
         g = _mean_cosine(shader, closure)
-        return scattering, absorption, g, Scaled(closure.weight), False
+        return _VolumePart(scattering, absorption, g, Scaled(closure.weight), False)
     density = shader.scaled_attribute(closure, "Density")
     density = replace(density, scale=closure.weight * max(0.0, density.scale))
     linked = density.attribute is not None
     color = shader.color(closure, "Color")
     if kind == "VOLUME_SCATTER":
-        return color, np.zeros(3), _mean_cosine(shader, closure), density, linked
+        return _VolumePart(color, np.zeros(3), _mean_cosine(shader, closure), density, linked)
     if kind == "VOLUME_ABSORPTION":
-        return np.zeros(3), np.maximum(0, 1 - color), 0.0, density, linked
+        return _VolumePart(np.zeros(3), np.maximum(0, 1 - color), 0.0, density, linked)
     _refuse_color_attribute(shader, closure)
     named = shader.text(closure, "Density Attribute")
     if named and linked:
@@ -235,10 +263,11 @@ def _volume_closure(shader, closure):
         density = replace(density, attribute=named)
     tint = np.sqrt(np.maximum(0, shader.color(closure, "Absorption Color")))
     absorption = np.maximum(0, 1 - color) * np.maximum(0, 1 - tint)
-    return color, absorption, shader.number(closure, "Anisotropy"), density, linked
+    g = shader.number(closure, "Anisotropy")
+    return _VolumePart(color, absorption, g, density, linked)
 
 
-def _refuse_color_attribute(shader, closure):
+def _refuse_color_attribute(shader: Shader, closure: Closure) -> None:
     attribute = shader.text(closure, "Color Attribute")
     if attribute:
         raise SceneError(
@@ -247,7 +276,7 @@ def _refuse_color_attribute(shader, closure):
         )
 
 
-def _mean_cosine(shader, closure):
+def _mean_cosine(shader: Shader, closure: Closure) -> float:
     phase = closure.node.phase
     if phase == "RAYLEIGH":
         return 0.0
@@ -259,7 +288,7 @@ def _mean_cosine(shader, closure):
     return shader.number(closure, "Anisotropy")
 
 
-def _leaf_closure(shader, closure):
+def _leaf_closure(shader: Shader, closure: Closure) -> tuple[Floats, Floats, float]:
     """(reflectance (3,), transmittance (3,), transparency) of one closure."""
     kind = closure.node.type
     dark = np.zeros(3)

@@ -8,7 +8,7 @@ import pytest
 from lb_lighting.errors import SceneError
 from lb_lighting.scene.emission import BlackBody, Glow, black_body_color, shining, volume_glows
 from lb_lighting.scene.grids.resample import Cells
-from lb_lighting.scene.nodes.values import Scaled
+from lb_lighting.scene.nodes.arithmetic import Scaled
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 

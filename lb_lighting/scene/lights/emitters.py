@@ -2,17 +2,23 @@
 """The meshes of a scene whose surface shines, and that are not selected themselves."""
 
 from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any
 
 import bpy
 import numpy as np
 
+from ...arrays import Floats
 from ...ours import is_ours
-from ..meshes import read_mesh
-from ..remarks import listed
+from ...transport.lights.lamps import AreaLight, PointLight
+from ..meshes import Mesh, read_mesh
+from ..nodes.shaders import Closure
+from ..remarks import Remarks, listed
 from ..rendered import rendered_objects, world_matrix
 from ..voxelize import Faces
 from .light_nodes import LightShader, or_else
 from .mesh_lights import Emitter, lamps_of
+from .receivers import Receivers
 
 PATTERNS = "Counted as evenly bright, without the pattern that their nodes make: {}."
 ROUGH = "Their shining surfaces count as a few lamps in their place: {}."
@@ -24,8 +30,12 @@ SELECTED = (
 _NOTED = 0.005  # share of the light that is left out, from which on it is told
 _SHINING = {"EMISSION", "BSDF_PRINCIPLED"}
 
+type Sides = tuple[Floats, Floats]  # W/(m^2 sr), (3,) each: the radiance of front and back
 
-def shining_lamps(depsgraph, receivers, remarks, notes):
+
+def shining_lamps(
+    depsgraph: bpy.types.Depsgraph, receivers: Receivers, remarks: Remarks, notes: list[str]
+) -> list[AreaLight | PointLight]:
     """[light] that stand for the meshes which shine on the `Receivers`."""
     emitters = _emitters(depsgraph, receivers, remarks)
     shining = lamps_of(emitters, receivers.lower, receivers.upper)
@@ -36,13 +46,17 @@ def shining_lamps(depsgraph, receivers, remarks, notes):
     return shining.lights
 
 
-def _emitters(depsgraph, receivers, remarks):
+def _emitters(
+    depsgraph: bpy.types.Depsgraph, receivers: Receivers, remarks: Remarks
+) -> list[Emitter]:
     glows = _Glows()
     if not any(map(glows.of, bpy.data.materials)):
         return []  # as in most scenes, however many objects they have
+    assert depsgraph.view_layer
     rendered = rendered_objects(depsgraph.view_layer.layer_collection)
     meshes, placed = {}, defaultdict(list)
-    for instance in depsgraph.object_instances:
+    instances: Iterable[Any] = depsgraph.object_instances
+    for instance in instances:
         ob = instance.object
         owner = (instance.parent if instance.is_instance else ob).original
         if ob.type != "MESH" or not instance.show_self or ob.hide_render or owner not in rendered:
@@ -69,11 +83,18 @@ def _emitters(depsgraph, receivers, remarks):
     ]
 
 
-def _read(ob, data, owner, glows, receivers, remarks):
+def _read(
+    ob: bpy.types.Object,
+    data: bpy.types.Mesh,
+    owner: bpy.types.Object,
+    glows: "_Glows",
+    receivers: Receivers,
+    remarks: Remarks,
+) -> tuple[Mesh, dict[int, Sides]] | None:
     """(`Mesh`, {slot: (front, back)}) of a mesh that shines on the receivers, or None."""
     if is_ours(owner) or not data.polygons:
         return None
-    materials = [slot.material for slot in ob.material_slots] or list(data.materials)
+    materials: list[Any] = [slot.material for slot in ob.material_slots] or list(data.materials)
     slots = {n: glow for n, m in enumerate(materials) if m and (glow := glows.of(m.original))}
     if not slots:
         return None
@@ -87,10 +108,10 @@ def _read(ob, data, owner, glows, receivers, remarks):
             remarks.add(PATTERNS, f"'{owner.name}' ({label})")
     mesh = read_mesh(data, len(materials))
     used = np.flatnonzero(np.bincount(mesh.slot, minlength=1))
-    return mesh, {int(n): slots[n] for n in used if n in slots}
+    return mesh, {int(n): slots[int(n)] for n in used if n in slots}
 
 
-def _emitter(mesh, slot, glow, matrices, name):
+def _emitter(mesh: Mesh, slot: int, glow: Sides, matrices: Floats, name: str) -> Emitter:
     faces = Faces(mesh, slot, matrices, name)
     mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
     triangles = faces.triangles
@@ -104,25 +125,26 @@ class _Glows:
     patterns  {material: [label of a node]} that was averaged, or not read
     """
 
-    def __init__(self):
-        self._known, self.patterns = {}, {}
+    def __init__(self) -> None:
+        self._known: dict[bpy.types.Material, Sides | None] = {}
+        self.patterns: dict[bpy.types.Material, dict[str, None]] = {}
 
-    def of(self, material):
+    def of(self, material: bpy.types.Material) -> Sides | None:
         """((3,), (3,)) W/(m^2 sr), the radiance of fronts and backs, or None for a dark one."""
         if material not in self._known:
             self._known[material] = or_else(None, self._read, material)
         return self._known[material]
 
-    def _read(self, material):
+    def _read(self, material: bpy.types.Material) -> Sides | None:
         if material.node_tree is None:
             return None
         shaders = [LightShader(material, back=back, tolerant=True) for back in (0.0, 1.0)]
-        sides = tuple(map(_radiance, shaders))
+        sides = _radiance(shaders[0]), _radiance(shaders[1])
         self.patterns[material] = shaders[0].patterns | shaders[1].patterns
         return sides if np.any(sides) else None
 
 
-def _radiance(shader):
+def _radiance(shader: LightShader) -> Floats:
     """(3,) W/(m^2 sr), not negative."""
     total = np.zeros(3)
     for closure in shader.shining("Surface", _SHINING):
@@ -133,7 +155,7 @@ def _radiance(shader):
     return np.maximum(total, 0)
 
 
-def _product(shader, closure, color, strength):
+def _product(shader: LightShader, closure: Closure, color: str, strength: str) -> Floats:
     """(3,): a colour times a number, of which the colour is not read where the number is 0."""
     number = shader.number(closure, strength)
     return number * shader.color(closure, color) if number else np.zeros(3)

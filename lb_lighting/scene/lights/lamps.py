@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lamps and the sky of a Blender scene as transport lights."""
 
-import numpy as np
-from mathutils import Euler
+from collections.abc import Iterable
+from typing import Any
 
+import bpy
+import numpy as np
+from mathutils import Euler, Matrix
+
+from ...arrays import Floats
 from ...errors import LightError
 from ...transport.lights.distant import Sky, Sun
 from ...transport.lights.lamps import AreaLight, PointLight, SpotLight
 from ...transport.lights.panorama import panorama_lights
-from ..nodes.shaders import Shader, linear_pixels, resolve
+from ..nodes.links import Groups, Node, Socket, resolve
+from ..nodes.shaders import Closure, Shader, linear_pixels
 from ..remarks import Remarks
 from ..rendered import rendered_objects, world_matrix
 from .emitters import shining_lamps
@@ -18,7 +24,10 @@ from .light_nodes import (
     LightShader,
     or_else,
 )
-from .receivers import SHADED
+from .receivers import SHADED, Receivers
+
+type Lamp = Any  # bpy.types.Light: what it has depends on its `type`
+type SceneLight = Sun | Sky | PointLight | SpotLight | AreaLight
 
 _MANY_BOUNCES = 32  # of a lamp, from which on its light has faded before they are used up
 _NARROWEST = 1e-3  # rad, of cones: Blender lets them be 0, which lights nothing
@@ -39,7 +48,13 @@ WORLD_VOLUME = (
 )
 
 
-def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
+def scene_lights(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    notes: list[str],
+    needed: bool = True,
+    receivers: Receivers | None = None,
+) -> list[SceneLight]:
     """[light]: every lamp that renders, instanced ones too, meshes that shine (where receivers are
     known), and the world. A point or spot of any
     radius counts as a point, a sun of any angle as one direction.
@@ -56,6 +71,7 @@ def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
     lights = _lamps(depsgraph, receivers, remarks)
     if receivers:
         lights += shining_lamps(depsgraph, receivers, remarks, notes)
+    assert depsgraph.view_layer
     world = depsgraph.view_layer.world_override or scene.world
     if world:
         lights += _world(world, receivers, notes, remarks)
@@ -68,11 +84,15 @@ def scene_lights(scene, depsgraph, notes, needed=True, receivers=None):
     return lights
 
 
-def _lamps(depsgraph, receivers, remarks):
+def _lamps(
+    depsgraph: bpy.types.Depsgraph, receivers: Receivers | None, remarks: Remarks
+) -> list[SceneLight]:
+    assert depsgraph.view_layer
     rendered = rendered_objects(depsgraph.view_layer.layer_collection)
+    instances: Iterable[Any] = depsgraph.object_instances
     found = [
         _lit_by(instance.object, instance.matrix_world, receivers, remarks)
-        for instance in depsgraph.object_instances
+        for instance in instances
         if instance.is_instance and instance.show_self and _is_lamp(instance.object)
         if instance.parent.original in rendered and not instance.object.hide_render
     ]
@@ -85,9 +105,12 @@ def _lamps(depsgraph, receivers, remarks):
     return [lamp for lamp in found if lamp is not None]
 
 
-def _lit_by(ob, matrix, receivers, remarks):
+def _lit_by(
+    ob: bpy.types.Object, matrix: Matrix, receivers: Receivers | None, remarks: Remarks
+) -> SceneLight | None:
     """The light of an evaluated lamp, or None where it lights nothing."""
-    strength = _strength(ob.data, remarks)
+    lamp: Lamp = ob.data
+    strength = _strength(lamp, remarks)
     if np.any(strength < 0):
         remarks.add(NEGATIVE, ob.name)
         strength = np.maximum(strength, 0)
@@ -95,23 +118,23 @@ def _lit_by(ob, matrix, receivers, remarks):
         return None
     if receivers and not receivers.take_object(ob, remarks):
         return None
-    if _is_flat(ob.data, matrix):
+    if _is_flat(lamp, matrix):
         remarks.add(FLAT, ob.name)
         return None
-    if not ob.data.use_shadow:
+    if not lamp.use_shadow:
         remarks.add(SHADED, ob.name)
-    if hasattr(ob.data, "cycles") and ob.data.cycles.max_bounces < _MANY_BOUNCES:
+    if _cycles(lamp) and lamp.cycles.max_bounces < _MANY_BOUNCES:
         remarks.add(FEW_BOUNCES, ob.name)
-    if ob.data.type == "SPOT" and _is_uneven(matrix):
+    if lamp.type == "SPOT" and _is_uneven(matrix):
         remarks.add(UNEVEN, ob.name)
-    return _lamp(ob.data, matrix, strength)
+    return _lamp(lamp, matrix, strength)
 
 
-def _lamp(lamp, matrix, strength):
-    x, y, z = (np.array(column, float) for column in matrix.to_3x3().col)
+def _lamp(lamp: Lamp, matrix: Matrix, strength: Floats) -> SceneLight:
+    x, y, z = _axes(matrix)
     if lamp.type == "SUN":
         return Sun(tuple(-z), _scalar_if_grey(strength * _disk(lamp)))
-    place = tuple(matrix.translation)
+    place = matrix.translation.to_tuple()
     if lamp.type == "AREA":
         return _area_light(lamp, place, x, y, z, strength)
     power = _scalar_if_grey(strength * _sphere(lamp))
@@ -126,14 +149,19 @@ def _lamp(lamp, matrix, strength):
     return SpotLight(place, tuple(-z), power, angle, lamp.spot_blend, radius)
 
 
-def _is_flat(lamp, matrix):
+def _axes(matrix: Matrix) -> Floats:
+    """(3, 3): the x, y and z axis of an object with that matrix, of the length of its scale."""
+    return np.array(matrix.to_3x3().transposed(), float)
+
+
+def _is_flat(lamp: Lamp, matrix: Matrix) -> bool:
     """Whether a lamp with that matrix has no direction to shine in."""
-    x, y, z = (np.array(column, float) for column in matrix.to_3x3().col)
+    x, y, z = _axes(matrix)
     needed = {"SUN": z, "SPOT": z, "AREA": np.cross(x, y)}
-    return lamp.type in needed and not needed[lamp.type].any()
+    return lamp.type in needed and not np.any(needed[lamp.type])
 
 
-def _is_uneven(matrix):
+def _is_uneven(matrix: Matrix) -> bool:
     """Whether the cone of a spot with that matrix is not a round one about its own axis."""
     axes = np.array(matrix.to_3x3(), float)
     lengths = np.linalg.norm(axes, axis=0)
@@ -141,7 +169,14 @@ def _is_uneven(matrix):
     return bool(abs(lengths[0] - lengths[1]) > _UNEVEN * lengths[:2].max() or skewed.any())
 
 
-def _area_light(lamp, place, x, y, z, strength):
+def _area_light(
+    lamp: bpy.types.AreaLight,
+    place: tuple[float, ...],
+    x: Floats,
+    y: Floats,
+    z: Floats,
+    strength: Floats,
+) -> AreaLight:
     """x, y and z are the lamp's axes, of the length that it is scaled to."""
     ellipse = lamp.shape in ("DISK", "ELLIPSE")
     u = x * lamp.size
@@ -155,23 +190,28 @@ def _area_light(lamp, place, x, y, z, strength):
     return AreaLight(place, *sides, _scalar_if_grey(strength), ellipse, spread)
 
 
-def _is_lamp(ob):
+def _is_lamp(ob: bpy.types.Object) -> bool:
     """Whether an object is a lamp that shines; a portal shows only where the world does."""
     if ob.type != "LIGHT":
         return False
-    is_portal = hasattr(ob.data, "cycles") and ob.data.cycles.is_portal
-    return not (ob.data.type == "AREA" and is_portal)
+    lamp: Lamp = ob.data
+    return not (lamp.type == "AREA" and _cycles(lamp) and lamp.cycles.is_portal)
 
 
-def _disk(lamp):
+def _cycles(lamp: Lamp) -> Any:
+    """Cycles' settings of a lamp, or None where that add-on is off."""
+    return getattr(lamp, "cycles", None)
+
+
+def _disk(lamp: bpy.types.SunLight) -> float:
     """W/m^2 on a surface that faces the sun, by its strength, as Cycles has it."""
     if lamp.normalize or lamp.angle == 0:
         return 1.0
     # Without normalization the strength is the radiance of the sun's disk.
-    return np.pi * np.sin(lamp.angle / 2) ** 2
+    return float(np.pi * np.sin(lamp.angle / 2) ** 2)
 
 
-def _sphere(lamp):
+def _sphere(lamp: bpy.types.PointLight | bpy.types.SpotLight) -> float:
     """W that a point lamp sends out in all, by its strength, as Cycles has it."""
     if lamp.normalize:
         return 1.0
@@ -180,15 +220,15 @@ def _sphere(lamp):
     return 4 * (np.pi * radius**2 if radius > 0 else 1)
 
 
-def _strength(lamp, remarks):
+def _strength(lamp: Lamp, remarks: Remarks) -> Floats:
     """(3,): what a lamp's own settings and its nodes make of its energy."""
-    strength = lamp.energy * 2**lamp.exposure * np.array(lamp.color)
+    strength: Floats = lamp.energy * 2**lamp.exposure * np.array(lamp.color)
     if lamp.use_temperature:
         strength *= lamp.temperature_color
     shader = LightShader(lamp, tolerant=True)
     made = or_else(None, _made, shader)
     if made is None:
-        made = 1.0
+        made = np.ones(3)
         shader.patterns["broken nodes"] = None
     if np.any(strength * made):
         for label in shader.patterns:
@@ -196,7 +236,7 @@ def _strength(lamp, remarks):
     return strength * made
 
 
-def _made(shader):
+def _made(shader: LightShader) -> Floats:
     """(3,): the colour times the strength of all nodes by which a lamp shines."""
     return sum(
         (
@@ -207,25 +247,29 @@ def _made(shader):
     )
 
 
-def _world(world, receivers, notes, remarks):
+def _world(
+    world: bpy.types.World, receivers: Receivers | None, notes: list[str], remarks: Remarks
+) -> list[Sun | Sky]:
     """The lights of a world, those that are visible to the receivers."""
     if Shader(world).reaching("Volume"):
         remarks.add(WORLD_VOLUME, world.name)
     lights = _skies(world, _light_path(receivers), notes, remarks)
-    if not lights or not receivers or not hasattr(world, "cycles_visibility"):
+    seen: Any = getattr(world, "cycles_visibility", None)  # which the Cycles add-on brings
+    if not lights or not receivers or seen is None:
         return lights
-    seen = world.cycles_visibility
     return lights if receivers.take(world.name, seen.diffuse, seen.scatter, None, remarks) else []
 
 
-def _light_path(receivers):
+def _light_path(receivers: Receivers | None) -> dict[str, float]:
     """{output of Light Path: its value} for light from the world on its way to the receivers."""
     surfaces = ON_SURFACES if receivers is None or receivers.has_surfaces else {}
     volumes = IN_VOLUMES if receivers is None or receivers.has_volumes else {}
     return surfaces | volumes
 
 
-def _skies(world, path, notes, remarks):
+def _skies(
+    world: bpy.types.World, path: dict[str, float], notes: list[str], remarks: Remarks
+) -> list[Sun | Sky]:
     """The lights of a world's pictures, by direction, and its other colours as one even sky."""
     shader = LightShader(world, path)
     even, lights = np.zeros(3), []
@@ -246,7 +290,9 @@ def _skies(world, path, notes, remarks):
     return lights + ([Sky(_scalar_if_grey(even))] if np.any(even) else [])
 
 
-def _picture(shader, closure, notes):
+def _picture(
+    shader: LightShader, closure: Closure, notes: list[str]
+) -> tuple[Floats, Floats] | None:
     """(pixels (height, width, 4), (3, 3) the turn from directions to it) of a background that
     shows an environment, or None where it has a plain colour, or one of which that must do."""
     socket, groups = resolve(closure.node.inputs["Color"], closure.groups)
@@ -262,7 +308,7 @@ def _picture(shader, closure, notes):
     return linear_pixels(socket.node.image), turn
 
 
-def _turn(socket, groups):
+def _turn(socket: Socket, groups: Groups) -> Floats | None:
     """(3, 3) of the world's directions, as nodes change them; None for what is no rotation."""
     node = socket.node
     if not socket.is_output:  # a texture without a link takes the direction, another node nothing
@@ -276,7 +322,7 @@ def _turn(socket, groups):
     return None if inner is None or own is None else own @ inner
 
 
-def _mapping(node, groups):
+def _mapping(node: Node, groups: Groups) -> Floats | None:
     """(3, 3) of a Mapping node, or None where it moves, or scales unevenly."""
     values = {}
     for name in ("Location", "Rotation", "Scale"):
@@ -289,16 +335,14 @@ def _mapping(node, groups):
     if np.any(values.get("Location", 0.0)) or not np.all(scale) or np.ptp(np.abs(scale)) > 1e-6:
         return None
     turn = np.array(Euler(values["Rotation"]).to_matrix(), float)
-    if node.vector_type == "TEXTURE":
-        turn = turn.T
-        return np.sign(scale)[:, None] * turn
-    return turn * np.sign(scale)
+    signs: Floats = np.sign(scale)
+    return signs[:, None] * turn.T if node.vector_type == "TEXTURE" else turn * signs
 
 
-def _grey_if_it_is(pixels):
+def _grey_if_it_is(pixels: Floats) -> Floats:
     """(height, width, 3) as (height, width) where all is grey, so that one band is solved."""
     return pixels if np.any(np.ptp(pixels, axis=2)) else pixels[..., 0]
 
 
-def _scalar_if_grey(color):
+def _scalar_if_grey(color: Floats) -> float | tuple[float, ...]:
     return tuple(map(float, color)) if np.ptp(color) else float(color[0])

@@ -4,12 +4,18 @@
 Needs no Blender; emitters.py reads them.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...arrays import Booleans, Floats, Integers
 from ...transport.lights.lamps import AreaLight, PointLight
-from ..nodes.shaders import LUMINANCE
+from ..nodes.arithmetic import LUMINANCE
+
+type _Shape = tuple[Floats, Floats, bool]  # two edges of a flat lamp, and if it is an ellipse
 
 MOST = 16  # lamps for all of them together
 _LEVEL = 0.3  # length of the mean normal, from which on a flat lamp may stand for a patch
@@ -36,11 +42,11 @@ class Emitter:
     """
 
     name: str
-    triangles: np.ndarray
-    mirrored: np.ndarray
-    closed: np.ndarray
-    front: np.ndarray
-    back: np.ndarray
+    triangles: Floats
+    mirrored: Booleans
+    closed: Booleans
+    front: Floats
+    back: Floats
 
 
 @dataclass(frozen=True)
@@ -54,10 +60,10 @@ class Shining:
     share    of the light, which is that of those
     """
 
-    lights: list
-    names: list
-    rough: dict
-    dropped: dict
+    lights: list[AreaLight | PointLight]
+    names: list[str]
+    rough: dict[str, None]
+    dropped: dict[str, None]
     share: float
 
 
@@ -66,24 +72,32 @@ class _Faces:
     """Sides of triangles that shine: triangles (n, 3, 3), normals (n, 3), areas (n,), radiance
     (n, 3), owners (n,) the number of the emitter."""
 
-    triangles: np.ndarray
-    normals: np.ndarray
-    areas: np.ndarray
-    radiance: np.ndarray
-    owners: np.ndarray
+    triangles: Floats
+    normals: Floats
+    areas: Floats
+    radiance: Floats
+    owners: Integers
 
-    def __getitem__(self, chosen):
-        return _Faces(*(value[chosen] for value in vars(self).values()))
+    def __getitem__(self, chosen: Booleans) -> _Faces:
+        return _Faces(
+            self.triangles[chosen],
+            self.normals[chosen],
+            self.areas[chosen],
+            self.radiance[chosen],
+            self.owners[chosen],
+        )
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.areas)
 
     @property
-    def centers(self):
-        return self.triangles.mean(axis=1)
+    def centers(self) -> Floats:
+        return np.mean(self.triangles, axis=1)
 
 
-def lamps_of(emitters, lower, upper, most=MOST):
+def lamps_of(
+    emitters: Sequence[Emitter], lower: Floats, upper: Floats, most: int = MOST
+) -> Shining:
     """The `Shining` that lights the box from `lower` to `upper`, (3,) m, as `emitters` do.
 
     most  lamps at most
@@ -123,7 +137,11 @@ class _Patch:
     fault  share of all light by which it is wrong at these
     """
 
-    def __init__(self, faces, lower, upper, share):
+    light: AreaLight | PointLight
+    exact: bool
+    fault: float
+
+    def __init__(self, faces: _Faces, lower: Floats, upper: Floats, share: float) -> None:
         self.faces, self.lower, self.upper, self.share = faces, lower, upper, share
         self.owner = faces.owners[0]
         area, corners = faces.areas, faces.triangles
@@ -141,9 +159,9 @@ class _Patch:
         self.width = np.sqrt(np.trace(self.moments))
         self._choose()
 
-    def _choose(self):
+    def _choose(self) -> None:
         shape = self._flat_shape()
-        candidates = [self._flat_light(shape)] if shape else []
+        candidates: list[AreaLight | PointLight] = [self._flat_light(shape)] if shape else []
         if self.exact:
             (self.light,), self.fault = candidates, 0.0
             return
@@ -166,25 +184,25 @@ class _Patch:
         self.light, self.fault = candidates[best], self.share * faults[best]
 
     @property
-    def _sent(self):
+    def _sent(self) -> Floats:
         """(n, 3) W/sr straight ahead of each face."""
         return self.faces.areas[:, None] * self.faces.radiance
 
-    def _flat_light(self, shape):
+    def _flat_light(self, shape: _Shape) -> AreaLight:
         u, v, ellipse = shape
         if np.cross(u, v) @ self.normal < 0:
             u, v = v, u
         ahead = np.einsum("nb,ni->bi", self._sent, self.faces.normals)
         power = np.pi * np.linalg.norm(ahead, axis=1)
-        u, v, center = (tuple(map(float, vector)) for vector in (u, v, self.center))
-        return AreaLight(center, u, v, spectrum(power), ellipse)
+        center, first, second = (tuple(map(float, vector)) for vector in (self.center, u, v))
+        return AreaLight(center, first, second, spectrum(power), ellipse)
 
-    def _point(self):
+    def _point(self) -> PointLight:
         radius = float(np.sqrt(self.area / (4 * np.pi)))
         power = spectrum(np.pi * self._sent.sum(axis=0))
         return PointLight(tuple(map(float, self.center)), power, radius)
 
-    def _flat_shape(self):
+    def _flat_shape(self) -> _Shape | None:
         """(u, v, whether it is an ellipse) of a flat lamp like it, or None; sets `exact`."""
         self.exact = False
         if self.flatness < _LEVEL:
@@ -204,33 +222,32 @@ class _Patch:
         scale = 4 if ellipse else np.sqrt(12)
         return scale * long * axes[:, 2], scale * short * axes[:, 1], ellipse
 
-    def _places(self):
+    def _places(self) -> Floats:
         """(n, 3) m: places in the box, those that are not right at the faces if there are any."""
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         places = middle + half * np.random.default_rng(0).uniform(-1, 1, (_PLACES, 3))
         off = np.linalg.norm(places - self.center, axis=1) > _CLOSE * self.width
         return places[off] if off.any() else places
 
-    def _rectangle(self):
+    def _rectangle(self) -> tuple[Floats, Floats] | None:
         """(u, v) of the rectangle that the faces fill, or None."""
         corners = self.faces.triangles
         edges = (np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)
         lengths = np.linalg.norm(edges, axis=1)
-        best = None
+        rectangles: list[tuple[float, Floats, Floats, Floats, Floats]] = []
         for edge in edges[np.argsort(-lengths)[:_EDGES]]:
             u = edge / np.linalg.norm(edge)
             v = np.cross(self.normal, u)
             places = (corners.reshape(-1, 3) - self.center) @ np.stack([u, v], axis=1)
             size = np.ptp(places, axis=0)
-            if best is None or np.prod(size) < np.prod(best[0]):
-                best = size, u, v, places.min(axis=0) + size / 2
-        size, u, v, middle = best
-        if abs(np.prod(size) / self.area - 1) > _FIT:
+            rectangles.append((float(np.prod(size)), size, u, v, places.min(axis=0) + size / 2))
+        area, size, u, v, middle = min(rectangles, key=lambda rectangle: rectangle[0])
+        if abs(area / self.area - 1) > _FIT:
             return None
         self.center = self.center + middle[0] * u + middle[1] * v
         return size[0] * u, size[1] * v
 
-    def halves(self):
+    def halves(self) -> list[_Patch]:
         """[_Patch] that it is divided into by place and by normal; itself, if that is not to be."""
         faces = self.faces
         features = np.hstack([(faces.centers - self.center) / self.width, faces.normals])
@@ -241,23 +258,24 @@ class _Patch:
             self.fault = 0.0
             return [self]
         weights = _weights(faces, self.lower, self.upper)
-        share = weights[upper].sum() / max(weights.sum(), 1e-300)
+        share = float(weights[upper].sum()) / max(float(weights.sum()), 1e-300)
         return [
             _Patch(faces[half], self.lower, self.upper, self.share * part)
             for half, part in ((upper, share), (~upper, 1 - share))
         ]
 
 
-def _falling(places, centers, normals):
+def _falling(places: Floats, centers: Floats, normals: Floats | None) -> Floats:
     """(p, n) 1/m^2: the cosine over the squared distance to places (p, 3), of faces (n, 3)."""
     away = places[:, None] - centers
-    squares = np.einsum("pni,pni->pn", away, away)
+    squares: Floats = np.einsum("pni,pni->pn", away, away)
     if normals is None:
         return 1 / squares
-    return np.maximum(np.einsum("pni,ni->pn", away, normals), 0) / squares**1.5
+    ahead: Floats = np.maximum(np.einsum("pni,ni->pn", away, normals), 0)
+    return ahead / squares**1.5
 
 
-def _pieces(light):
+def _pieces(light: AreaLight | PointLight) -> tuple[Floats, Floats | None]:
     """(centers (n, 3), normals (n, 3) or None) of pieces that a lamp is made of, equal ones."""
     if isinstance(light, PointLight):
         return np.array([light.position]), None
@@ -272,12 +290,12 @@ def _pieces(light):
     return places, np.tile(normal / np.linalg.norm(normal), (len(places), 1))
 
 
-def spectrum(power):
+def spectrum(power: Floats) -> float | tuple[float, ...]:
     """Power (3,) as lights take it: a number where it is grey."""
     return tuple(map(float, power)) if np.ptp(power) > 1e-6 * np.max(power) else float(power[0])
 
 
-def _sides(emitters, lower, upper):
+def _sides(emitters: Sequence[Emitter], lower: Floats, upper: Floats) -> _Faces:
     """The `_Faces` of all sides that shine and can be seen; of closed bodies, the outer ones, or
     the inner ones of those around the box."""
     found = []
@@ -294,7 +312,7 @@ def _sides(emitters, lower, upper):
             seen = (areas > 0) & (~closed | (side == outer))
             if not np.any(radiance) or not seen.any():
                 continue
-            count = np.count_nonzero(seen)
+            count = int(np.count_nonzero(seen))
             found.append(
                 _Faces(
                     triangles[seen],
@@ -305,32 +323,40 @@ def _sides(emitters, lower, upper):
                 )
             )
     if not found:
-        return _Faces(*(np.empty(s) for s in ((0, 3, 3), (0, 3), 0, (0, 3))), np.empty(0, int))
-    return _Faces(*map(np.concatenate, zip(*(vars(f).values() for f in found), strict=True)))
+        none = np.empty((0, 3))
+        return _Faces(np.empty((0, 3, 3)), none, np.empty(0), none, np.empty(0, int))
+    return _Faces(
+        np.concatenate([faces.triangles for faces in found]),
+        np.concatenate([faces.normals for faces in found]),
+        np.concatenate([faces.areas for faces in found]),
+        np.concatenate([faces.radiance for faces in found]),
+        np.concatenate([faces.owners for faces in found]),
+    )
 
 
-def _is_around(triangles, lower, upper):
+def _is_around(triangles: Floats, lower: Floats, upper: Floats) -> bool:
     points = triangles.reshape(-1, 3)
     return bool(np.all(points.min(axis=0) < lower) and np.all(points.max(axis=0) > upper))
 
 
-def _facing(faces, lower, upper):
+def _facing(faces: _Faces, lower: Floats, upper: Floats) -> _Faces:
     """Those of `faces` that have some of the box in front of them."""
     middle, half = (lower + upper) / 2, (upper - lower) / 2
     ahead = np.einsum("ni,ni->n", middle - faces.centers, faces.normals)
     return faces[ahead + np.abs(faces.normals) @ half > 1e-6 * np.max(half)]
 
 
-def _weights(faces, lower, upper):
+def _weights(faces: _Faces, lower: Floats, upper: Floats) -> Floats:
     """(n,): about how much each of `faces` lights the box."""
     away = (lower + upper) / 2 - faces.centers
     distance = np.linalg.norm(away, axis=1)
     nearest = np.linalg.norm(upper - lower) / 2
     cosine = np.einsum("ni,ni->n", away, faces.normals) / np.maximum(distance, 1e-12)
     bright = faces.radiance @ LUMINANCE * faces.areas
-    return bright * np.maximum(cosine, _SLANTED) / np.maximum(distance, nearest) ** 2
+    weights: Floats = bright * np.maximum(cosine, _SLANTED) / np.maximum(distance, nearest) ** 2
+    return weights
 
 
-def _gap(place, lower, upper):
+def _gap(place: Floats, lower: Floats, upper: Floats) -> Floats:
     """(3,) m, from the box to a place outside of it; 0 inside."""
-    return np.maximum(np.maximum(lower - place, place - upper), 0)
+    return np.asarray(np.maximum(np.maximum(lower - place, place - upper), 0))

@@ -1,11 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is lit, and which lights Blender lets reach it: ray visibility, and light linking."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...arrays import Array, Floats, Vector
 from ..materials import has_volume
+from ..remarks import Remarks
+from ..sources import Source
+from ..surface_sources import FoliageSource, OccluderSource, SolidSource
+
+if TYPE_CHECKING:
+    import bpy
 
 NO_RAYS = "Left out, because Ray Visibility keeps the light from what is selected: {}."
 NOT_LINKED = "Left out, because Light Linking keeps the light from what is selected: {}."
@@ -32,13 +43,19 @@ class Receivers:
     lower, upper  (3,) m, the box that is lit
     """
 
-    objects: tuple
-    volumes: tuple
-    lower: np.ndarray
-    upper: np.ndarray
+    objects: tuple[bpy.types.Object, ...]
+    volumes: tuple[bool, ...]
+    lower: Floats
+    upper: Floats
 
     @classmethod
-    def of(cls, objects, sources, depsgraph, box=None):
+    def of(
+        cls,
+        objects: Sequence[bpy.types.Object],
+        sources: Sequence[Source],
+        depsgraph: bpy.types.Depsgraph,
+        box: tuple[Vector, Vector] | None = None,
+    ) -> Receivers:
         """Those that `sources` were made of.
 
         box  (lower, upper) m, what is lit of them, or None for all
@@ -54,30 +71,38 @@ class Receivers:
         return cls(tuple(objects), tuple(volumes), *np.array(box, float))
 
     @property
-    def center(self):
+    def center(self) -> Floats:
         """(3,) m, of the box."""
         return (self.lower + self.upper) / 2
 
     @property
-    def size(self):
+    def size(self) -> float:
         """m, the longest edge of the box."""
         return float(np.max(self.upper - self.lower))
 
     @property
-    def has_volumes(self):
+    def has_volumes(self) -> bool:
         return any(self.volumes)
 
     @property
-    def has_surfaces(self):
+    def has_surfaces(self) -> bool:
         return not all(self.volumes)
 
-    def take_object(self, ob, remarks):
+    def take_object(self, ob: bpy.types.Object, remarks: Remarks) -> bool:
         """`take` the light of the evaluated object of a lamp or a shining mesh."""
         # Evaluated objects have collections of evaluated objects.
-        linking = ob.original.light_linking
+        original: Any = ob.original
+        linking = original.light_linking
         return self.take(ob.name, ob.visible_diffuse, ob.visible_volume_scatter, linking, remarks)
 
-    def take(self, name, surfaces, volumes, linking, remarks):
+    def take(
+        self,
+        name: str,
+        surfaces: bool,
+        volumes: bool,
+        linking: bpy.types.ObjectLightLinking | None,
+        remarks: Remarks,
+    ) -> bool:
         """Whether a light shines on any of them; remarks say where it should not shine on all.
 
         name      of the light
@@ -104,25 +129,25 @@ class Receivers:
         return True
 
 
-def members(collection, objects):
+def members(collection: bpy.types.Collection, objects: Sequence[bpy.types.Object]) -> list[bool]:
     """[bool]: is each of `objects` in the set that a collection of Light Linking stands for?
 
     As in Blender: what is included, or all where nothing is; less what is excluded.
     """
-    states = {}
+    states: dict[bpy.types.Object, str] = {}
     for child, entry in zip(collection.children, collection.collection_children, strict=True):
         states |= dict.fromkeys(child.all_objects, entry.light_linking.link_state)
-    for ob, entry in zip(collection.objects, collection.collection_objects, strict=True):
-        states[ob] = entry.light_linking.link_state
+    for ob, link in zip(collection.objects, collection.collection_objects, strict=True):
+        states[ob] = link.light_linking.link_state
     others = "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE"
     return [states.get(ob, others) == "INCLUDE" for ob in objects]
 
 
-def _has_volume(ob):
+def _has_volume(ob: bpy.types.Object) -> bool:
     return any(has_volume(slot.material) for slot in ob.material_slots)
 
 
-def placed_boxes(lower, upper, matrices):
+def placed_boxes(lower: Array, upper: Array, matrices: Array | Sequence[Any]) -> Floats:
     """(k, 2, 3): the lower and upper corners of the boxes about the box from `lower` to `upper`,
     (3,) or (k, 3), under each of the matrices (k, 4, 4)."""
     matrices = np.asarray(matrices, float).reshape(-1, 4, 4)
@@ -134,13 +159,13 @@ def placed_boxes(lower, upper, matrices):
     return np.stack([center - reach, center + reach], axis=1)
 
 
-def _outline(ob, source, depsgraph):
+def _outline(ob: bpy.types.Object, source: Source, depsgraph: bpy.types.Depsgraph) -> Floats:
     """(k, 2, 3) m: boxes about a source, found in no time; they may be somewhat too large."""
-    if faces := getattr(source, "faces", None):
-        return np.concatenate([_box_of(part.mesh.points, part.matrices) for part in faces])
+    if isinstance(source, (FoliageSource, SolidSource, OccluderSource)) and source.faces:
+        return np.concatenate([_box_of(part.mesh.points, part.matrices) for part in source.faces])
     evaluated = ob.evaluated_get(depsgraph)
     return _box_of(np.array(evaluated.bound_box), [evaluated.matrix_world])
 
 
-def _box_of(points, matrices):
+def _box_of(points: Floats, matrices: Array | Sequence[Any]) -> Floats:
     return placed_boxes(points.min(axis=0), points.max(axis=0), matrices)

@@ -3,6 +3,8 @@
 
 import numpy as np
 
+from ...arrays import Floats
+
 _COLDEST, _HOTTEST = 800.0, 12000.0  # K, between which Blender knows colours
 # Of the colours that Blender gives black bodies: polynomials in the logarithm of the temperature in
 # 1000 K, by band, the highest power first. Fitted to them; they are within 0.002 (the tests).
@@ -13,7 +15,7 @@ _BLACK_COLORS = (
 )
 
 
-def black_body_color(kelvin):
+def black_body_color(kelvin: float | Floats) -> Floats:
     """(..., 3): the linear colour (Rec. 709), of a luminance of 1, that Blender gives a black body.
 
     kelvin  (...) K, its temperature

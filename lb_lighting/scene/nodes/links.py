@@ -1,9 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Following links in shader nodes, as Cycles does: mutes, reroutes, groups and circles."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from ...ours import is_ours
+
+if TYPE_CHECKING:
+    import bpy
+
+# What nodes and sockets have depends on their `type`, by which the checker cannot tell them apart.
+type Node = Any  # bpy.types.Node
+type Socket = Any  # bpy.types.NodeSocket or Nothing
+type Groups = tuple[Node, ...]  # the group nodes around a node, outermost first
+type Place = tuple[Socket, Groups]
 
 GROUPS = {"GROUP", "CUSTOM GROUP"}
 
@@ -11,7 +24,7 @@ GROUPS = {"GROUP", "CUSTOM GROUP"}
 class Circle(Exception):  # noqa: N818 - it is caught where the material's name is known
     """Links that lead back to where they come from; `node` is one of the nodes on their way."""
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         super().__init__(node.name)
         self.node = node
 
@@ -20,8 +33,9 @@ class Circle(Exception):  # noqa: N818 - it is caught where the material's name 
 class Nothing:
     """Stands in for an input that Cycles takes for 0: nothing inside of a group feeds it."""
 
-    node: object
+    node: Node
     is_output = False
+    type = "VALUE"
     default_value = 0.0
 
 
@@ -31,10 +45,10 @@ class Links:
     Each tree's are looked up once, for Blender goes through all of them to find those of a socket.
     """
 
-    def __init__(self):
-        self._sources = {}
+    def __init__(self) -> None:
+        self._sources: dict[bpy.types.NodeTree, dict[Socket, Socket]] = {}
 
-    def resolve(self, socket, groups=()):
+    def resolve(self, socket: Socket, groups: Groups = ()) -> Place:
         """(socket, groups): where a value comes from, through links, reroutes and node groups.
 
         It is an output of a node, or an input that nothing is linked to and that holds the value:
@@ -65,7 +79,7 @@ class Links:
                 return socket, groups
         return holder
 
-    def _source(self, socket):
+    def _source(self, socket: Socket) -> Socket | None:
         """The socket that a link brings to an input, or None."""
         tree = socket.id_data
         if tree not in self._sources:
@@ -75,7 +89,7 @@ class Links:
         return self._sources[tree].get(socket)
 
 
-def resolve(socket, groups=()):
+def resolve(socket: Socket, groups: Groups = ()) -> Place:
     """What `Links.resolve` returns; of a circle of links, `Nothing`."""
     try:
         return Links().resolve(socket, groups)
@@ -83,7 +97,7 @@ def resolve(socket, groups=()):
         return Nothing(circle.node), groups
 
 
-def active_output(tree):
+def active_output(tree: bpy.types.ShaderNodeTree) -> tuple[Node | None, Groups]:
     """(output node that Cycles renders, group nodes around it), or (None, ()).
 
     It is in a group where there is none outside of groups.
@@ -91,24 +105,25 @@ def active_output(tree):
     return _active_output(tree, tree.get_output_node("CYCLES"), ())
 
 
-def refuse_circle(tree):
+def refuse_circle(tree: bpy.types.NodeTree | None) -> None:
     """Raise `Circle` for a tree whose links form one: Cycles renders nothing of it."""
     for link in tree.links if tree else ():
-        ends = link.from_socket, link.to_socket
+        ends: tuple[Socket, Socket] = link.from_socket, link.to_socket
         # A link of a closure to a value, or of a socket that is not in use, is invalid, too.
         is_shader = [end.type == "SHADER" for end in ends]
         if not link.is_valid and all(end.enabled for end in ends) and is_shader[0] == is_shader[1]:
             raise Circle(link.to_node)
 
 
-def postorder(start, below):
+def postorder(start: Place, below: Callable[[Place], list[Place]]) -> dict[Place, list[Place]]:
     """{key: [keys right below it]}: `start` and all below it, once, each after what is below it.
 
     below  function that takes a key, (socket, groups), and returns the list of those below it
 
     Raises `Circle` where one is below itself.
     """
-    done, under_way = {}, {start: below(start)}
+    done: dict[Place, list[Place]] = {}
+    under_way = {start: below(start)}
     while under_way:
         key, keys = next(reversed(under_way.items()))
         following = next((k for k in keys if k not in done), None)
@@ -121,10 +136,13 @@ def postorder(start, below):
     return done
 
 
-def _active_output(tree, found, groups):
+def _active_output(
+    tree: bpy.types.ShaderNodeTree, found: Node | None, groups: Groups
+) -> tuple[Node | None, Groups]:
     if found is not None:
         return found, groups
-    for node in tree.nodes:
+    nodes: Iterable[Node] = tree.nodes
+    for node in nodes:
         if node.type not in GROUPS or node.mute or node.node_tree is None or is_ours(node):
             continue
         inside = next((n for n in node.node_tree.nodes if _is_output(n)), None)
@@ -134,25 +152,25 @@ def _active_output(tree, found, groups):
     return None, ()
 
 
-def _is_output(node):
+def _is_output(node: Node) -> bool:
     kinds = {"OUTPUT_MATERIAL", "OUTPUT_WORLD", "OUTPUT_LIGHT"}
     return node.type in kinds and node.is_active_output and node.target in {"ALL", "CYCLES"}
 
 
-def _before(node, socket):
+def _before(node: Node, socket: Socket) -> Socket | None:
     """The input whose value a reroute or a muted node hands on to its output, or None."""
     if node.type == "REROUTE":
         return node.inputs[0]
     return next((i.from_socket for i in node.internal_links if i.to_socket == socket), None)
 
 
-def _inside(group):
+def _inside(group: Node) -> Iterable[Socket]:
     """The sockets of the Group Output that is in use inside of a group node."""
     nodes = group.node_tree.nodes if group.node_tree else ()
     outputs = [node for node in nodes if node.type == "GROUP_OUTPUT"]
     return next((node.inputs for node in outputs if node.is_active_output), ())
 
 
-def _twin(sockets, socket):
+def _twin(sockets: Iterable[Socket], socket: Socket) -> Socket | None:
     """The one of `sockets` that stands for `socket` on the other side of a group's wall."""
     return next((s for s in sockets if s.identifier == socket.identifier), None)

@@ -1,28 +1,38 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reading shader nodes: which closures reach an output, and what values feed them."""
 
+from __future__ import annotations
+
+from collections.abc import Collection
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import SceneError
+from ...arrays import Floats
+from ...errors import LightingError, SceneError
+from .arithmetic import Constant, Scaled, Unread
+from .attributes import Attributes
 from .links import (
     Circle,
+    Groups,
     Links,
+    Node,
+    Place,
+    Socket,
     active_output,
     postorder,
     refuse_circle,
     resolve,
 )
-from .values import (
-    LUMINANCE,
-    Scaled,
-    Unread,
-    as_number,
-    value_of,
-)
+from .values import as_number, value_of
 
-__all__ = ["LUMINANCE", "Closure", "Shader", "linear_pixels", "may_be_positive", "resolve"]
+if TYPE_CHECKING:
+    import bpy
+
+type Owner = bpy.types.Light | bpy.types.Material | bpy.types.World
+type Image = Any  # bpy.types.Image, whose pixels and size the checker takes for single values
+type Tree = dict[Place, list[Place]]
 
 IMAGES = {"TEX_IMAGE", "TEX_ENVIRONMENT"}
 
@@ -31,9 +41,9 @@ IMAGES = {"TEX_IMAGE", "TEX_ENVIRONMENT"}
 class Closure:
     """A closure node, its share after Mix Shaders (0 to 1), and the group nodes around it."""
 
-    node: object
+    node: Node
     weight: float
-    groups: tuple
+    groups: Groups
 
 
 class Shader:
@@ -45,7 +55,12 @@ class Shader:
                 where it is not known which object that is
     """
 
-    def __init__(self, owner, error=SceneError, attributes=None):
+    def __init__(
+        self,
+        owner: Owner,
+        error: type[LightingError] = SceneError,
+        attributes: Attributes | None = None,
+    ) -> None:
         self.owner = owner
         self.error = error
         self.attributes = attributes
@@ -53,7 +68,9 @@ class Shader:
         # A preset stands in for a material, but not for a light.
         self.or_preset = ", or choose a preset" if error is SceneError else ""
 
-    def closures(self, output, known, ignored=()):
+    def closures(
+        self, output: str, known: Collection[str], ignored: Collection[str] = ()
+    ) -> list[Closure]:
         """[Closure] that reach the socket `output` of the active output node, each node once.
 
         known    node types that may be there; any other raises the error
@@ -64,14 +81,14 @@ class Shader:
         except Circle as circle:
             raise self._circle(circle) from None
 
-    def refuse_circle(self):
+    def refuse_circle(self) -> None:
         """Raise the error for links that form a circle, because of which nothing is rendered."""
         try:
             refuse_circle(self.owner.node_tree)
         except Circle as circle:
             raise self._circle(circle) from None
 
-    def reaching(self, output):
+    def reaching(self, output: str) -> list[Closure]:
         """[Closure] of any type that may reach the socket `output`, however they are mixed."""
         try:
             tree = self._tree(output)
@@ -83,16 +100,16 @@ class Shader:
             if socket.is_output and not _mixes(socket)
         ]
 
-    def color(self, closure, name):
+    def color(self, closure: Closure, name: str) -> Floats:
         """(3,): the input `name` of a closure, averaged where an image feeds it."""
         return np.broadcast_to(self._average(*self._resolve(closure, name)), 3)
 
-    def number(self, closure, name):
+    def number(self, closure: Closure, name: str | int) -> float:
         """The input `name` of a closure, averaged where an image feeds it."""
         socket, groups = self._resolve(closure, name)
         return as_number(self._average(socket, groups), socket)
 
-    def scaled_attribute(self, closure, name):
+    def scaled_attribute(self, closure: Closure, name: str) -> Scaled:
         """The input `name` of a closure that is a number, times an attribute or not: `Scaled`."""
         socket, groups = self._resolve(closure, name)
         value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
@@ -103,14 +120,14 @@ class Shader:
             )
         return value if isinstance(value, Scaled) else Scaled(value)
 
-    def text(self, closure, name):
+    def text(self, closure: Closure, name: str) -> str:
         """The text that the input `name` of a closure holds."""
         socket, _groups = self._resolve(closure, name)
         if socket.is_output:
             raise self._refusal(socket.node)
         return socket.default_value or ""
 
-    def _tree(self, output):
+    def _tree(self, output: str) -> Tree:
         """{(socket, groups): [those that it mixes]} of all that reaches an output, in postorder."""
         tree = self.owner.node_tree
         if tree is None:
@@ -121,7 +138,7 @@ class Shader:
             return {}
         return postorder(self.links.resolve(node.inputs[output], groups), self._mixed)
 
-    def _mixed(self, key):
+    def _mixed(self, key: Place) -> list[Place]:
         """[(socket, groups)] of what the node of a (socket, groups) mixes, without shares of 0."""
         socket, groups = key
         if not _mixes(socket):
@@ -132,21 +149,24 @@ class Shader:
             inputs = inputs[1:] if factor == 1 else inputs[:1] if factor == 0 else inputs
         return [self.links.resolve(s, groups) for s in inputs]
 
-    def _factor(self, socket, groups):
+    def _factor(self, socket: Socket, groups: Groups) -> float | None:
         """How much of the second shader a Mix Shader takes, 0 to 1; None for no constant."""
         socket, groups = self.links.resolve(socket, groups)
         value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         return None if isinstance(value, (Scaled, Unread)) else float(np.clip(value, 0, 1))
 
-    def _weighed(self, tree, known, ignored):
+    def _weighed(
+        self, tree: Tree, known: Collection[str], ignored: Collection[str]
+    ) -> list[Closure]:
         """[Closure] of what `_tree` returned, weighed by all the ways that lead to each."""
-        counts = {}  # whether anything is behind it that is not ignored
+        counts: dict[Place, bool] = {}  # whether anything is behind it that is not ignored
         for (socket, groups), below in tree.items():
             is_closure = socket.is_output and not _mixes(socket)
             counts[socket, groups] = any(counts[key] for key in below) or (
                 is_closure and socket.node.type not in ignored
             )
-        weights, found = dict.fromkeys(tree, 0.0) | dict.fromkeys(list(tree)[-1:], 1.0), []
+        weights = dict.fromkeys(tree, 0.0) | dict.fromkeys(list(tree)[-1:], 1.0)
+        found: list[Closure] = []
         for key, below in reversed(tree.items()):
             (socket, groups), weight = key, weights[key]
             if not counts[key]:
@@ -160,13 +180,13 @@ class Shader:
                 self._refuse_closure(socket.node)
         return found[::-1]
 
-    def _refuse_closure(self, node):
+    def _refuse_closure(self, node: Node) -> None:
         raise self.error(
             f"'{self.owner.name}' uses the node '{_called(node)}', which cannot be "
             f"converted; replace it{self.or_preset}."
         )
 
-    def _shares(self, node, groups):
+    def _shares(self, node: Node, groups: Groups) -> list[float]:
         """The shares of what `_mixed` returns for a node."""
         if node.type == "ADD_SHADER":
             return [1.0, 1.0]
@@ -177,14 +197,14 @@ class Shader:
             factor = float(np.clip(self.number(Closure(node, 1.0, groups), 0), 0, 1))
         return [1 - factor, factor]
 
-    def _resolve(self, closure, name):
+    def _resolve(self, closure: Closure, name: str | int) -> Place:
         """(socket, groups) that the input `name` of a closure takes its value from."""
         try:
             return self.links.resolve(closure.node.inputs[name], closure.groups)
         except Circle as circle:
             raise self._circle(circle) from None
 
-    def _average(self, socket, groups):
+    def _average(self, socket: Socket, groups: Groups) -> Constant:
         """The value of a resolved socket: a number or (3,), of an image its mean."""
         if socket.is_output and socket.node.type in IMAGES:
             return self._image_average(socket)
@@ -193,19 +213,19 @@ class Shader:
             raise self._refusal(value.node if isinstance(value, Unread) else socket.node)
         return value
 
-    def _refusal(self, node):
+    def _refusal(self, node: Node) -> LightingError:
         return self.error(
             f"'{self.owner.name}' takes a value from the node '{_called(node)}', which has "
             f"no single colour; use a plain value or an image{self.or_preset}."
         )
 
-    def _circle(self, circle):
+    def _circle(self, circle: Circle) -> LightingError:
         return self.error(
             f"The links of '{self.owner.name}' lead in a circle at the node "
             f"'{circle.node.name}'; remove one of them."
         )
 
-    def _image_average(self, socket):
+    def _image_average(self, socket: Socket) -> Constant:
         node = socket.node
         pixels = linear_pixels(node.image) if node.image else np.empty((0, 0, 4))
         if not pixels.size:
@@ -225,7 +245,7 @@ class Shader:
         return np.average(pixels[..., :3], axis=(0, 1), weights=alpha if alpha.any() else None)
 
 
-def may_be_positive(closure, name):
+def may_be_positive(closure: Closure, name: str) -> bool:
     """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
     socket, groups = resolve(closure.node.inputs[name], closure.groups)
     value = value_of(socket, groups, Links())
@@ -234,12 +254,12 @@ def may_be_positive(closure, name):
     return bool(np.any(np.greater(value.scale if isinstance(value, Scaled) else value, 0)))
 
 
-def linear_pixels(image):
+def linear_pixels(image: Image) -> Floats:
     """(height, width, 4) float32, linear, from the bottom up; (0, 0, 4) if it is not loaded."""
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    width, height = image.size if pixels.size else (0, 0)
-    pixels = pixels.reshape(height, width, 4)
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    width, height = image.size if values.size else (0, 0)
+    pixels = values.reshape(height, width, 4)
     # Blender hands out the bytes of an image as they are stored, but floats as linear values.
     if not image.is_float and image.colorspace_settings.name == "sRGB":
         encoded = pixels[..., :3]
@@ -249,17 +269,17 @@ def linear_pixels(image):
     return pixels
 
 
-def _sphere_average(pixels):
+def _sphere_average(pixels: Floats) -> Floats:
     """(3,): the mean over solid angle of an equirectangular image."""
     height = len(pixels)
     latitude = np.pi * ((np.arange(height) + 0.5) / height - 0.5)
     return np.average(pixels[..., :3].mean(axis=1), axis=0, weights=np.cos(latitude))
 
 
-def _mixes(socket):
+def _mixes(socket: Socket) -> bool:
     return socket.is_output and socket.node.type in {"ADD_SHADER", "MIX_SHADER"}
 
 
-def _called(node):
+def _called(node: Node) -> str:
     """What a user knows a node by; of one whose add-on is missing only its name is left."""
-    return node.name if node.bl_idname == "NodeUndefined" else node.bl_label
+    return str(node.name if node.bl_idname == "NodeUndefined" else node.bl_label)

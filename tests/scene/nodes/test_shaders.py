@@ -7,9 +7,9 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene.materials import Leaf, has_surface, has_volume, leaf_optics, volume_optics
+from lb_lighting.scene.nodes.arithmetic import Scaled
 from lb_lighting.scene.nodes.attributes import object_attributes
 from lb_lighting.scene.nodes.shaders import Shader
-from lb_lighting.scene.nodes.values import Scaled
 from tests import scenery
 from tests.scene.trees import (
     add_node,
