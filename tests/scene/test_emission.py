@@ -108,7 +108,7 @@ def test_a_black_bodys_settings():
     full, none = (found.radiance({"flame": np.array(f), "temperature": 2.0}) for f in (1.0, 0.0))
     assert full.max() > 0
     assert not none.any()
-    with pytest.raises(SceneError, match="multiplies the temperatures"):
+    with pytest.raises(SceneError, match="multiplies the temperature attributes"):
         volume_glows(principled(Blackbody_Intensity=1.0, Temperature="heat"))
 
 

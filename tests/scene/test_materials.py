@@ -353,7 +353,7 @@ class TestLeaf:
         material = make_material("lamp")
         tree = material.node_tree
         nodes = [add_node(tree, "ShaderNodeBsdfDiffuse", Color=(0.8,) * 3) for _ in range(2)]
-        with pytest.raises(SceneError, match="'lamp' sends out more light"):
+        with pytest.raises(SceneError, match="'lamp' reflects and transmits more light"):
             leaf_optics(connect(material, combine(tree, *nodes), "Surface"))
 
     def test_unknown_node_is_refused(self):

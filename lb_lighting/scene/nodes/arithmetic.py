@@ -26,14 +26,14 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, as Blender turns col
 
 @dataclass(frozen=True)
 class Scaled:
-    """scale * min(attribute, limit), of a grid that is nowhere negative; `scale` without one."""
+    """scale * min(attribute, limit) for a grid without negative values; `scale` without a grid."""
 
     scale: float
     attribute: str | None = None
     limit: float = np.inf
 
     def of(self, values: Mapping[str, Floats]) -> float | Floats:
-        """The values, (...), for grids with the `values`, {name: (...)}; 1 for a missing grid."""
+        """(...) for grids with the `values` {name: (...)}; a grid that is missing counts as 1."""
         if self.attribute is None or self.attribute not in values:
             return self.scale
         return self.scale * np.minimum(values[self.attribute], self.limit)
@@ -71,9 +71,9 @@ def evaluate_mix(
     second: Value,
     blend: Callable[[str, float, Value, Value], Value | None],
 ) -> Value | None:
-    """The result of a Mix node, or of a Mix Color node of older files; None if `blend` returns it.
+    """The result of a Mix node, or of a MixRGB node from an older file; None if `blend` returns it.
 
-    blend  function of the blend type, the factor and the two values
+    blend  computes it from the blend type, the factor and the two values
     """
     is_legacy = node.type == "MIX_RGB"
     is_color = is_legacy or node.data_type == "RGBA"
@@ -94,7 +94,7 @@ def evaluate_clamp(node: Node, value: Number, low: Number, high: Number) -> Valu
 
 
 def times(a: Value | None, b: Value | None) -> Constant | Scaled | None:
-    """a * b, or None if that is neither constant nor `Scaled`; so do the functions below."""
+    """a * b; None, as in the functions below, if that is neither constant nor `Scaled`."""
     if is_constant(a) and is_constant(b):
         return a * b
     if isinstance(b, Scaled):
@@ -153,7 +153,7 @@ def within(value: Value | None, low: Number, high: Number) -> Constant | Scaled 
         return clamped if np.ndim(clamped) else float(clamped)
     if not isinstance(value, Scaled):
         return None
-    # A grid is at least 0. Limits that cut off more than its top give no `Scaled`.
+    # A grid is at least 0, and `Scaled` has no lower limit other than 0.
     if value.scale > 0 and low <= 0 <= high:
         return replace(value, limit=min(value.limit, high / value.scale))
     if value.scale <= 0 <= high and low == 0:

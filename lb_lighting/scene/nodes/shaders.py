@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reading shader nodes: which closures reach an output, and what values feed them."""
+"""Reads shader nodes: the closures that reach an output, and the values of their inputs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ IMAGES = {"TEX_IMAGE", "TEX_ENVIRONMENT"}
 
 @dataclass(frozen=True)
 class Closure:
-    """A closure node, its share after Mix Shaders (0 to 1), and the group nodes around it."""
+    """A closure node, its weight after Mix Shaders (0 to 1), and the group nodes around it."""
 
     node: Node
     weight: float
@@ -49,10 +49,10 @@ class Closure:
 class Shader:
     """The nodes of a material, world or light.
 
-    owner       that data-block; its name is in every error
-    error       the LightingError to raise for what cannot be read
-    attributes  what finds the attributes of the object that shows it, see attributes.py, or None
-                where it is not known which object that is
+    owner       the data-block; errors name it
+    error       the LightingError to raise for unsupported nodes
+    attributes  from `object_attributes` of the object that has the material, or None if that is
+                not known
     """
 
     def __init__(
@@ -65,16 +65,16 @@ class Shader:
         self.error = error
         self.attributes = attributes
         self.links = Links()
-        # A preset stands in for a material, but not for a light.
+        # Presets can replace a material, but not a light.
         self.or_preset = ", or choose a preset" if error is SceneError else ""
 
     def closures(
         self, output: str, known: Collection[str], ignored: Collection[str] = ()
     ) -> list[Closure]:
-        """[Closure] that reach the socket `output` of the active output node, each node once.
+        """[Closure] that reach the input `output` of the active output node, each node once.
 
-        known    node types that may be there; any other raises the error
-        ignored  node types that may be there and are left out
+        known    node types to return
+        ignored  node types to leave out; any other type raises the error
         """
         try:
             return self._weighed(self._tree(output), known, ignored)
@@ -82,18 +82,18 @@ class Shader:
             raise self._circle(circle) from None
 
     def refuse_circle(self) -> None:
-        """Raise the error for links that form a circle, because of which nothing is rendered."""
+        """Raise the error if links form a circle, which keeps Cycles from rendering anything."""
         try:
             refuse_circle(self.owner.node_tree)
         except Circle as circle:
             raise self._circle(circle) from None
 
     def reaching(self, output: str) -> list[Closure]:
-        """[Closure] of any type that may reach the socket `output`, however they are mixed."""
+        """[Closure] of any type that may reach the input `output`, for any factors of mixes."""
         try:
             tree = self._tree(output)
         except Circle:
-            return []  # Cycles shows nothing of it
+            return []  # Cycles renders nothing
         return [
             Closure(socket.node, 1.0, groups)
             for socket, groups in tree
@@ -101,34 +101,34 @@ class Shader:
         ]
 
     def color(self, closure: Closure, name: str) -> Floats:
-        """(3,): the input `name` of a closure, averaged where an image feeds it."""
+        """(3,): the input `name` of a closure, or the mean of an image that is linked to it."""
         return np.broadcast_to(self._average(*self._resolve(closure, name)), 3)
 
     def number(self, closure: Closure, name: str | int) -> float:
-        """The input `name` of a closure, averaged where an image feeds it."""
+        """The input `name` of a closure, or the mean of an image that is linked to it."""
         socket, groups = self._resolve(closure, name)
         return as_number(self._average(socket, groups), socket)
 
     def scaled_attribute(self, closure: Closure, name: str) -> Scaled:
-        """The input `name` of a closure that is a number, times an attribute or not: `Scaled`."""
+        """The input `name` of a closure, a number that may be multiplied by an attribute."""
         socket, groups = self._resolve(closure, name)
         value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         if isinstance(value, Unread):
             raise self.error(
                 f"'{self.owner.name}' computes its {name.lower()} with the node "
-                f"'{_called(value.node)}'; only an attribute times a number can be converted."
+                f"'{_shown_name(value.node)}'; only an attribute times a number is supported."
             )
         return value if isinstance(value, Scaled) else Scaled(value)
 
     def text(self, closure: Closure, name: str) -> str:
-        """The text that the input `name` of a closure holds."""
+        """The text in the input `name` of a closure."""
         socket, _groups = self._resolve(closure, name)
         if socket.is_output:
-            raise self._refusal(socket.node)
+            raise self._no_constant(socket.node)
         return socket.default_value or ""
 
     def _tree(self, output: str) -> Tree:
-        """{(socket, groups): [those that it mixes]} of all that reaches an output, in postorder."""
+        """{place: [places that it mixes]} for all that reaches an output, in postorder."""
         tree = self.owner.node_tree
         if tree is None:
             return {}
@@ -138,9 +138,9 @@ class Shader:
             return {}
         return postorder(self.links.resolve(node.inputs[output], groups), self._mixed)
 
-    def _mixed(self, key: Place) -> list[Place]:
-        """[(socket, groups)] of what the node of a (socket, groups) mixes, without shares of 0."""
-        socket, groups = key
+    def _mixed(self, place: Place) -> list[Place]:
+        """The places that an Add or Mix Shader mixes, without those with a share of 0."""
+        socket, groups = place
         if not _mixes(socket):
             return []
         inputs = [s for s in socket.node.inputs if s.type == "SHADER"]
@@ -150,7 +150,7 @@ class Shader:
         return [self.links.resolve(s, groups) for s in inputs]
 
     def _factor(self, socket: Socket, groups: Groups) -> float | None:
-        """How much of the second shader a Mix Shader takes, 0 to 1; None for no constant."""
+        """The share of a Mix Shader's second shader, 0 to 1; None if it is not constant."""
         socket, groups = self.links.resolve(socket, groups)
         value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         return None if isinstance(value, (Scaled, Unread)) else float(np.clip(value, 0, 1))
@@ -158,36 +158,38 @@ class Shader:
     def _weighed(
         self, tree: Tree, known: Collection[str], ignored: Collection[str]
     ) -> list[Closure]:
-        """[Closure] of what `_tree` returned, weighed by all the ways that lead to each."""
-        counts: dict[Place, bool] = {}  # whether anything is behind it that is not ignored
+        """[Closure] in `tree`, each weighted by the sum over all paths that lead to it."""
+        # Mark the places that lead to a closure that is not ignored.
+        counts: dict[Place, bool] = {}
         for (socket, groups), below in tree.items():
             is_closure = socket.is_output and not _mixes(socket)
-            counts[socket, groups] = any(counts[key] for key in below) or (
+            counts[socket, groups] = any(counts[place] for place in below) or (
                 is_closure and socket.node.type not in ignored
             )
+        # Pass the weight of the output down to the closures.
         weights = dict.fromkeys(tree, 0.0) | dict.fromkeys(list(tree)[-1:], 1.0)
-        found: list[Closure] = []
-        for key, below in reversed(tree.items()):
-            (socket, groups), weight = key, weights[key]
-            if not counts[key]:
-                continue  # whatever drives the mix does not matter
+        closures: list[Closure] = []
+        for place, below in reversed(tree.items()):
+            (socket, groups), weight = place, weights[place]
+            if not counts[place]:
+                continue  # nor does the factor of its mix have to be supported
             if _mixes(socket):
                 for part, share in zip(below, self._shares(socket.node, groups), strict=True):
                     weights[part] += weight * share
             elif socket.node.type in known:
-                found.append(Closure(socket.node, weight, groups))
+                closures.append(Closure(socket.node, weight, groups))
             else:
                 self._refuse_closure(socket.node)
-        return found[::-1]
+        return closures[::-1]
 
     def _refuse_closure(self, node: Node) -> None:
         raise self.error(
-            f"'{self.owner.name}' uses the node '{_called(node)}', which cannot be "
-            f"converted; replace it{self.or_preset}."
+            f"'{self.owner.name}' uses the node '{_shown_name(node)}', which is not supported; "
+            f"replace it{self.or_preset}."
         )
 
     def _shares(self, node: Node, groups: Groups) -> list[float]:
-        """The shares of what `_mixed` returns for a node."""
+        """The shares of the places that `_mixed` returns for a node."""
         if node.type == "ADD_SHADER":
             return [1.0, 1.0]
         factor = self._factor(node.inputs[0], groups)
@@ -198,25 +200,25 @@ class Shader:
         return [1 - factor, factor]
 
     def _resolve(self, closure: Closure, name: str | int) -> Place:
-        """(socket, groups) that the input `name` of a closure takes its value from."""
+        """The place that the input `name` of a closure gets its value from."""
         try:
             return self.links.resolve(closure.node.inputs[name], closure.groups)
         except Circle as circle:
             raise self._circle(circle) from None
 
     def _average(self, socket: Socket, groups: Groups) -> Constant:
-        """The value of a resolved socket: a number or (3,), of an image its mean."""
+        """The value of a resolved socket, a number or (3,); for an image, its mean."""
         if socket.is_output and socket.node.type in IMAGES:
             return self._image_average(socket)
         value = value_of(socket, groups, self.links, self.attributes)
         if isinstance(value, (Scaled, Unread)):
-            raise self._refusal(value.node if isinstance(value, Unread) else socket.node)
+            raise self._no_constant(value.node if isinstance(value, Unread) else socket.node)
         return value
 
-    def _refusal(self, node: Node) -> LightingError:
+    def _no_constant(self, node: Node) -> LightingError:
         return self.error(
-            f"'{self.owner.name}' takes a value from the node '{_called(node)}', which has "
-            f"no single colour; use a plain value or an image{self.or_preset}."
+            f"'{self.owner.name}' takes a value from the node '{_shown_name(node)}', which has "
+            f"no single value; use a constant value or an image{self.or_preset}."
         )
 
     def _circle(self, circle: Circle) -> LightingError:
@@ -241,12 +243,12 @@ class Shader:
         alpha = pixels[..., 3]
         if socket.name == "Alpha":
             return float(alpha.mean())
-        # The colour of pixels that are cut away is not seen.
+        # Transparent pixels do not show their colour.
         return np.average(pixels[..., :3], axis=(0, 1), weights=alpha if alpha.any() else None)
 
 
 def may_be_positive(closure: Closure, name: str) -> bool:
-    """Whether the input `name` of a closure is more than 0, or is computed by nodes."""
+    """Whether the input `name` of a closure is above 0, or cannot be evaluated."""
     socket, groups = resolve(closure.node.inputs[name], closure.groups)
     value = value_of(socket, groups, Links())
     if isinstance(value, Unread):
@@ -255,12 +257,12 @@ def may_be_positive(closure: Closure, name: str) -> bool:
 
 
 def linear_pixels(image: Image) -> Floats:
-    """(height, width, 4) float32, linear, from the bottom up; (0, 0, 4) if it is not loaded."""
+    """(height, width, 4) float32, linear, bottom row first; (0, 0, 4) if it is not loaded."""
     values = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(values)
     width, height = image.size if values.size else (0, 0)
     pixels = values.reshape(height, width, 4)
-    # Blender hands out the bytes of an image as they are stored, but floats as linear values.
+    # Blender returns the pixels of byte images as stored, but those of float images as linear.
     if not image.is_float and image.colorspace_settings.name == "sRGB":
         encoded = pixels[..., :3]
         pixels[..., :3] = np.where(
@@ -270,7 +272,7 @@ def linear_pixels(image: Image) -> Floats:
 
 
 def _sphere_average(pixels: Floats) -> Floats:
-    """(3,): the mean over solid angle of an equirectangular image."""
+    """(3,): the mean of an equirectangular image over solid angle."""
     height = len(pixels)
     latitude = np.pi * ((np.arange(height) + 0.5) / height - 0.5)
     return np.average(pixels[..., :3].mean(axis=1), axis=0, weights=np.cos(latitude))
@@ -280,6 +282,6 @@ def _mixes(socket: Socket) -> bool:
     return socket.is_output and socket.node.type in {"ADD_SHADER", "MIX_SHADER"}
 
 
-def _called(node: Node) -> str:
-    """What a user knows a node by; of one whose add-on is missing only its name is left."""
+def _shown_name(node: Node) -> str:
+    """The name of a node in the editor; without its add-on, a node has no label."""
     return str(node.name if node.bl_idname == "NodeUndefined" else node.bl_label)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the inputs of a material's nodes evaluate to: constants, and grids times a number."""
+"""The values of a material's sockets: constants, and grids that are multiplied by a number."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ from .links import Circle, Groups, Links, Node, Place, Socket, postorder
 def value_of(
     socket: Socket, groups: Groups, links: Links, attributes: Attributes | None = None
 ) -> Value:
-    """What a resolved socket evaluates to: a float, (3,) for a colour or vector, `Scaled` or
-    `Unread`.
+    """The value of a resolved socket: a float, (3,) for a colour or vector, `Scaled` or `Unread`.
 
     attributes  from `object_attributes`, or None if the object is not known
     """
@@ -99,7 +98,7 @@ def _value(
 
 def _attribute(node: Node, socket: Socket, attributes: Attributes | None) -> Value:
     if node.attribute_type == "GEOMETRY":
-        # The alpha of a grid is 1, but 0 where there is none.
+        # Alpha is 1 where the mesh or volume has the attribute, and 0 elsewhere.
         is_grid = node.attribute_name and socket.identifier != "Alpha"
         return Scaled(1.0, node.attribute_name) if is_grid else Unread(node)
     if attributes is None:

@@ -442,7 +442,9 @@ class TestWorld:
         tree = world.node_tree
         sky = tree.nodes.new("ShaderNodeTexSky")
         tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
-        with pytest.raises(LightError, match=r"'Sky Texture'.*; use a plain value or an image\.$"):
+        with pytest.raises(
+            LightError, match=r"'Sky Texture'.*; use a constant value or an image\.$"
+        ):
             lights()
 
     def test_a_node_that_is_no_background_is_refused(self):

@@ -506,7 +506,7 @@ class TestRemains:
         connect(other, leaf, "Surface")
         assert leaf_optics(material).reflectance == RED
         bpy.utils.unregister_class(Rust)
-        with pytest.raises(SceneError, match="'metal' uses the node 'Rust', which cannot"):
+        with pytest.raises(SceneError, match="'metal' uses the node 'Rust', which is not"):
             leaf_optics(material)
         with pytest.raises(SceneError, match="'paint' takes a value from the node 'Rust'"):
             leaf_optics(other)
