@@ -59,7 +59,7 @@ class LightShader(Shader):
         self.patterns: dict[str, None] = {}
         self._constants: dict[Place, Constant | None] = {}
 
-    def shining(self, output: str, known: set[str]) -> list[Closure]:
+    def contributing(self, output: str, known: set[str]) -> list[Closure]:
         """`closures` with a weight above 0."""
         return [closure for closure in self.closures(output, known) if closure.weight > 0]
 

@@ -83,7 +83,7 @@ class TestRayVisibility:
         scenery.add_sun().visible_diffuse = False
         assert len(read(receivers([add_box()], [add_box("fog")]), notes)) == 1
         assert len(notes) == 1
-        assert "Ray Visibility of 'sun', bake volumes and surfaces apart" in notes[0]
+        assert "Ray Visibility of 'sun', bake volumes and surfaces separately" in notes[0]
 
     @pytest.mark.parametrize(
         ("ray", "lit", "count"),
@@ -157,7 +157,7 @@ class TestLightLinking:
         sun.light_linking.blocker_collection.objects.link(add_box("other"))
         read(receivers([box]), notes)
         assert len(notes) == 1
-        assert "shades the light of 'sun'" in notes[0]
+        assert "cast shadows in the light of 'sun'" in notes[0]
 
     def test_a_lamp_without_shadows_or_with_few_bounces_is_told(self):
         notes, sun = [], scenery.add_sun()
@@ -330,4 +330,4 @@ class TestWorldNodes:
         notes = []
         even_world(-1.0)
         assert read(None, notes) == []
-        assert "cannot be negative here: 'world'" in notes[0]
+        assert "negative light is not supported: 'world'" in notes[0]

@@ -353,7 +353,7 @@ class TestAreas:
         notes = []
         (sun,) = lights(notes)
         assert sun.irradiance == pytest.approx(2.0)
-        assert notes == [f"Left out, because they are scaled to nothing: '{kind.lower()}'."]
+        assert notes == [f"Left out, because they are scaled to zero: '{kind.lower()}'."]
 
     def test_portals_do_not_shine(self):
         add_lamp("AREA").data.cycles.is_portal = True
@@ -429,7 +429,7 @@ class TestWorld:
         (sky,) = lights(notes)
         assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
         assert len(notes) == 1
-        assert "'world' counts as its mean colour" in notes[0]
+        assert "'world' is baked as its mean colour" in notes[0]
 
     def test_missing_image_is_refused(self):
         world = add_world()
