@@ -88,21 +88,21 @@ def _lamps(
     rendered = rendered_objects(depsgraph.view_layer.layer_collection)
     instances: Iterable[Any] = depsgraph.object_instances
     lamps = [
-        _lit_by(instance.object, instance.matrix_world, receivers, remarks)
+        _light_of(instance.object, instance.matrix_world, receivers, remarks)
         for instance in instances
         if instance.is_instance and instance.show_self and _is_lamp(instance.object)
         if instance.parent.original in rendered and not instance.object.hide_render
     ]
     # Objects come last: to place hidden ones may evaluate the scene again.
     lamps += [
-        _lit_by(ob.evaluated_get(depsgraph), world_matrix(ob, depsgraph), receivers, remarks)
+        _light_of(ob.evaluated_get(depsgraph), world_matrix(ob, depsgraph), receivers, remarks)
         for ob in rendered
         if _is_lamp(ob)
     ]
     return [lamp for lamp in lamps if lamp is not None]
 
 
-def _lit_by(
+def _light_of(
     ob: bpy.types.Object, matrix: Matrix, receivers: Receivers | None, remarks: Remarks
 ) -> SceneLight | None:
     """The light of an evaluated lamp object, or None if it lights nothing."""
@@ -128,6 +128,7 @@ def _lit_by(
 
 
 def _lamp(lamp: Lamp, matrix: Matrix, strength: Floats) -> SceneLight:
+    """The light of a lamp with the object matrix `matrix`."""
     x, y, z = _axes(matrix)
     if lamp.type == "SUN":
         return Sun(tuple(-z), _scalar_if_grey(strength * _disk(lamp)))
@@ -135,7 +136,7 @@ def _lamp(lamp: Lamp, matrix: Matrix, strength: Floats) -> SceneLight:
     if lamp.type == "AREA":
         return _area_light(lamp, place, x, y, z, strength)
     power = _scalar_if_grey(strength * _sphere(lamp))
-    # Without Soft Falloff the lamp is a sphere, which lights much as a point does.
+    # Without Soft Falloff, the lamp is a sphere, which gives nearly the light of a point.
     radius = lamp.shadow_soft_size if lamp.use_soft_falloff else 0.0
     if lamp.type == "POINT":
         return PointLight(place, power, radius)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The nodes of lamps, worlds and emitting materials, evaluated as Cycles does.
+"""The nodes of lamps, worlds and emissive materials, evaluated as in Cycles.
 
-For light that does not go straight to the camera, the outputs of Light Path and Geometry's
-Backfacing are constants too.
+The outputs of Light Path and the Backfacing output of Geometry are constants here, because the
+light goes to the receivers and not straight to the camera.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ if TYPE_CHECKING:
 ON_SURFACES = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0}
 IN_VOLUMES = {"Is Volume Scatter Ray": 1.0}
 
-_LINEAR = {"MATH", "MIX", "MIX_RGB"}  # nodes that may be given the mean of an input
+# Nodes whose result for the mean of an input is close to the mean of their results.
+_LINEAR = {"MATH", "MIX", "MIX_RGB"}
 
 
 class LightShader(Shader):
-    """The nodes of a world, a lamp or an emitting material.
+    """The nodes of a world, a lamp or an emissive material.
 
     path      {output of Light Path: value}; outputs that are missing are 0
     back      1 for the back of faces, 0 for their front
@@ -129,9 +130,9 @@ class LightShader(Shader):
 
 
 def or_else[T, Owner](default: T, read: Callable[[Owner], T], owner: Owner) -> T:
-    """read(owner), or `default` if its nodes are broken, such as a missing group or a loop.
+    """read(owner), or `default` if its nodes are broken, such as a missing group.
 
-    It is used for objects that are not selected: they must not stop a bake.
+    Objects that are not selected are read this way, because they must not stop a bake.
     """
     try:
         return read(owner)

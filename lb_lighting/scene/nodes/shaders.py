@@ -77,7 +77,7 @@ class Shader:
         ignored  node types to leave out; any other type raises the error
         """
         try:
-            return self._weighed(self._tree(output), known, ignored)
+            return self._weighted(self._tree(output), known, ignored)
         except Circle as circle:
             raise self._circle(circle) from None
 
@@ -155,7 +155,7 @@ class Shader:
         value = as_number(value_of(socket, groups, self.links, self.attributes), socket)
         return None if isinstance(value, (Scaled, Unread)) else float(np.clip(value, 0, 1))
 
-    def _weighed(
+    def _weighted(
         self, tree: Tree, known: Collection[str], ignored: Collection[str]
     ) -> list[Closure]:
         """[Closure] in `tree`, each weighted by the sum over all paths that lead to it."""
