@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What volumes shine with by themselves; output/test_light_levels.py has Cycles' word on it."""
+"""Emission of volumes; output/test_light_levels.py compares it with Cycles."""
 
 import bpy
 import numpy as np
@@ -8,7 +8,7 @@ import pytest
 from lb_lighting.errors import SceneError
 from lb_lighting.scene.emission import BlackBody, Glow, black_body_color, shining, volume_glows
 from lb_lighting.scene.grids.resample import Cells
-from lb_lighting.scene.nodes.values import Scaled
+from lb_lighting.scene.nodes.arithmetic import Scaled
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 
@@ -18,7 +18,7 @@ RNG = np.random.default_rng(1)
 
 
 def principled(**inputs):
-    """A material; a text stands for the attribute of that name, a pair for one times a number."""
+    """A Principled Volume; a text for a number links the attribute of that name to it."""
     material = scenery.volume_material()
     tree = material.node_tree
     sockets = tree.nodes["Principled Volume"].inputs
@@ -34,15 +34,15 @@ def principled(**inputs):
 
 
 def cells(values):
-    """Three cells of 1 m along each edge, in the middle of the domain's 3 m."""
+    """A grid with voxels of 1 m; three along each edge fill the domain."""
     to_world = np.eye(4)
     to_world[:3, 3] = 0.5
     return Cells(np.asarray(values, np.float32), to_world)
 
 
 def black(**inputs):
-    (found,) = volume_glows(principled(Blackbody_Intensity=1.0, **inputs))
-    return found
+    (glow,) = volume_glows(principled(Blackbody_Intensity=1.0, **inputs))
+    return glow
 
 
 def test_none():
@@ -52,14 +52,14 @@ def test_none():
 
 
 def test_strength_times_color():
-    (found,) = volume_glows(principled(Emission_Strength=2.0, Emission_Color=(1, 0.5, 0.25, 1)))
-    assert found.color == pytest.approx((2, 1, 0.5))
-    assert found.grids == []
+    (glow,) = volume_glows(principled(Emission_Strength=2.0, Emission_Color=(1, 0.5, 0.25, 1)))
+    assert glow.color == pytest.approx((2, 1, 0.5))
+    assert glow.grids == []
 
 
 def test_attribute():
-    (found,) = volume_glows(principled(Emission_Strength="flame", Emission_Color=(1, 0.5, 0, 1)))
-    assert found == Glow((1, 0.5, 0), "flame")
+    (glow,) = volume_glows(principled(Emission_Strength="flame", Emission_Color=(1, 0.5, 0, 1)))
+    assert glow == Glow((1, 0.5, 0), "flame")
 
 
 @pytest.mark.parametrize("name", ["Emission Coefficients", "Emission"])
@@ -80,15 +80,15 @@ def test_other_nodes(name):
 
 
 @pytest.mark.parametrize("kelvin", [1200, 2000, 6500])
-def test_a_black_body_is_as_bright_as_its_law_says(kelvin):
-    """Cycles has a millionth of Stefan's and Boltzmann's radiance in a metre."""
+def test_black_bodies_follow_the_stefan_boltzmann_law(kelvin):
+    """In Cycles, a metre emits a millionth of the radiance of that law."""
     radiance = black().radiance({"temperature": np.array(kelvin / 1000)})
     assert LUMINANCE @ radiance == pytest.approx(5.670373e-14 / np.pi * kelvin**4, rel=1e-2)
     assert np.all(np.diff(radiance) < 0) == (kelvin < 6500)
 
 
-def test_a_black_bodys_color_is_blenders():
-    """The colour that a lamp has by its temperature; beyond what Blender knows, at its ends."""
+def test_colors_of_black_bodies_are_those_of_blender():
+    """They are those of lamps by temperature; outside Blender's range, those at its ends."""
     lamp = bpy.data.lights.new("lamp", "POINT")
     lamp.use_temperature = True
     temperatures, expected = np.geomspace(800, 12000, 300), []
@@ -99,59 +99,61 @@ def test_a_black_bodys_color_is_blenders():
         assert black_body_color(kelvin) == pytest.approx(end, abs=2e-3)
 
 
-def test_a_black_bodys_settings():
+def test_settings_of_black_bodies():
     assert black(Temperature=2000.0).temperature == Scaled(2000.0, "temperature")
     assert black(Temperature_Attribute="heat").grids == ["heat"]
-    (found,) = volume_glows(principled(Blackbody_Intensity="flame"))
-    assert isinstance(found, BlackBody)
-    assert set(found.grids) == {"flame", "temperature"}
-    full, none = (found.radiance({"flame": np.array(f), "temperature": 2.0}) for f in (1.0, 0.0))
+    (glow,) = volume_glows(principled(Blackbody_Intensity="flame"))
+    assert isinstance(glow, BlackBody)
+    assert set(glow.grids) == {"flame", "temperature"}
+    full, none = (glow.radiance({"flame": np.array(f), "temperature": 2.0}) for f in (1.0, 0.0))
     assert full.max() > 0
     assert not none.any()
-    with pytest.raises(SceneError, match="multiplies the temperatures"):
+    with pytest.raises(SceneError, match="multiplies the temperature attributes"):
         volume_glows(principled(Blackbody_Intensity=1.0, Temperature="heat"))
 
 
-def test_reading_tells_nobody_of_a_change():
-    """Which would end a preview."""
+def test_reading_changes_nothing():
+    """A change would end a preview."""
     material = principled(Blackbody_Intensity=1.0)
     bpy.context.evaluated_depsgraph_get().update()
-    told = []
+    updates = []
 
-    def tell(_scene, depsgraph):
-        told.extend(depsgraph.updates)
+    def collect(_scene, depsgraph):
+        updates.extend(depsgraph.updates)
 
-    bpy.app.handlers.depsgraph_update_post.append(tell)
+    bpy.app.handlers.depsgraph_update_post.append(collect)
     try:
         assert volume_glows(material)
         bpy.context.view_layer.update()
     finally:
-        bpy.app.handlers.depsgraph_update_post.remove(tell)
-    assert told == []
+        bpy.app.handlers.depsgraph_update_post.remove(collect)
+    assert updates == []
     assert not bpy.data.lights
 
 
-def test_power_is_kept_on_the_way_to_the_lattice():
-    """Of what each cell shines with, not of its mean temperature."""
+def test_the_lattice_keeps_the_power():
+    """It averages the emission of voxels, not their temperature."""
     heat = cells(RNG.random((3, 3, 3)) * [[[0]], [[1]], [[0]]] * 3)
     domain = Domain((-1, -1, -1), 0.5, (10, 10, 10))
-    found = shining([black()], {"temperature": heat}, heat, domain)
+    emission = shining([black()], {"temperature": heat}, heat, domain)
     expected = black().radiance({"temperature": heat.values}).sum(axis=(0, 1, 2))
-    assert found.sum(axis=(1, 2, 3)) * 0.5**3 == pytest.approx(expected, rel=1e-5)
+    assert emission.sum(axis=(1, 2, 3)) * 0.5**3 == pytest.approx(expected, rel=1e-5)
 
 
-def test_grids_of_other_sizes_are_taken_where_they_are():
+def test_grids_of_different_sizes():
     flame = cells(np.ones((3, 3, 3)))
     heat = Cells(np.full((6, 6, 6), 1.5, np.float32), DOMAIN.index_to_world)
-    (found,) = volume_glows(principled(Blackbody_Intensity="flame"))
-    both = shining([found], {"flame": flame, "temperature": heat}, flame, DOMAIN)
-    expected = found.radiance({"flame": np.ones(()), "temperature": 1.5})
+    (glow,) = volume_glows(principled(Blackbody_Intensity="flame"))
+    both = shining([glow], {"flame": flame, "temperature": heat}, flame, DOMAIN)
+    expected = glow.radiance({"flame": np.ones(()), "temperature": 1.5})
     assert both[:, 2, 3, 2] == pytest.approx(expected, rel=1e-5)
 
 
-def test_grids_that_are_not_there():
-    """A flame is none then, and a temperature that which the node says."""
+def test_missing_grids():
+    """A missing flame is 0, and a missing temperature is the one of the node."""
     inside = cells(np.ones((3, 3, 3)))
     assert not shining([Glow((1, 1, 1), "flame")], {}, inside, DOMAIN).any()
-    found = shining([black(Temperature=1500.0)], {}, inside, DOMAIN)
-    assert LUMINANCE @ found[:, 2, 2, 2] == pytest.approx(5.670373e-14 / np.pi * 1500**4, rel=1e-2)
+    emission = shining([black(Temperature=1500.0)], {}, inside, DOMAIN)
+    assert LUMINANCE @ emission[:, 2, 2, 2] == pytest.approx(
+        5.670373e-14 / np.pi * 1500**4, rel=1e-2
+    )

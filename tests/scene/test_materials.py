@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volume and leaf materials as coefficients, held to Cycles where it defines them."""
+"""Volume and leaf materials as coefficients, checked against Cycles where it defines them."""
 
 import bpy
 import numpy as np
@@ -30,9 +30,9 @@ def make_image(pixels, colorspace="Non-Color", is_float=True):
     return image
 
 
-def add_image(tree, pixels, **how):
+def add_image(tree, pixels, **settings):
     node = tree.nodes.new("ShaderNodeTexImage")
-    node.image = make_image(pixels, **how)
+    node.image = make_image(pixels, **settings)
     return node
 
 
@@ -42,18 +42,18 @@ COEFFICIENTS = {"Scatter_Coefficients": (1, 2, 3), "Absorption_Coefficients": (0
 
 class TestVolume:
     def test_scatter(self):
-        found = volume_optics(
+        matter = volume_optics(
             volume("ShaderNodeVolumeScatter", Color=COLOR, Density=5.0, Anisotropy=0.7)
         )
-        assert found.optics.sigma_s == pytest.approx((4.5, 3, 1.5))
-        assert found.optics.sigma_a == (0, 0, 0)
-        assert found.optics.g == pytest.approx((0.7,) * 3)
-        assert found.density_attribute is None
+        assert matter.optics.sigma_s == pytest.approx((4.5, 3, 1.5))
+        assert matter.optics.sigma_a == (0, 0, 0)
+        assert matter.optics.g == pytest.approx((0.7,) * 3)
+        assert matter.density_attribute is None
 
     def test_absorption(self):
-        found = volume_optics(volume("ShaderNodeVolumeAbsorption", Color=COLOR, Density=5.0))
-        assert found.optics.sigma_s == (0, 0, 0)
-        assert found.optics.sigma_a == pytest.approx((0.5, 2, 3.5))
+        matter = volume_optics(volume("ShaderNodeVolumeAbsorption", Color=COLOR, Density=5.0))
+        assert matter.optics.sigma_s == (0, 0, 0)
+        assert matter.optics.sigma_a == pytest.approx((0.5, 2, 3.5))
 
     def test_coefficients(self):
         optics = volume_optics(volume("ShaderNodeVolumeCoefficients", **COEFFICIENTS)).optics
@@ -62,11 +62,11 @@ class TestVolume:
 
     def test_principled(self):
         material = volume("ShaderNodeVolumePrincipled", Color=COLOR, Anisotropy=-0.3)
-        found = volume_optics(material)
-        assert found.optics.sigma_s == pytest.approx(COLOR)
-        assert found.optics.sigma_a == pytest.approx((0.1, 0.4, 0.7))
-        assert found.optics.g == pytest.approx((-0.3,) * 3)
-        assert found.density_attribute == "density"
+        matter = volume_optics(material)
+        assert matter.optics.sigma_s == pytest.approx(COLOR)
+        assert matter.optics.sigma_a == pytest.approx((0.1, 0.4, 0.7))
+        assert matter.optics.g == pytest.approx((-0.3,) * 3)
+        assert matter.density_attribute == "density"
 
     def test_grey_is_one_band(self):
         optics = volume_optics(volume("ShaderNodeVolumePrincipled", Color=(0.5,) * 3)).optics
@@ -86,7 +86,7 @@ class TestVolume:
         assert optics.sigma_a == pytest.approx((1, 1, 1))
         assert optics.g == pytest.approx((-0.1, 0.08, 0.8))
 
-    def test_rayleigh_has_no_preferred_side(self):
+    def test_rayleigh_has_a_mean_cosine_of_0(self):
         material = volume("ShaderNodeVolumeScatter", _phase="RAYLEIGH", Color=COLOR)
         assert volume_optics(material).optics.g == (0, 0, 0)
 
@@ -106,9 +106,9 @@ class TestVolume:
         scatter = add_node(
             tree, "ShaderNodeVolumeScatter", Color=(0.5,) * 3, Density=product.outputs[0]
         )
-        found = volume_optics(connect(material, scatter, "Volume"))
-        assert found.optics.sigma_s == pytest.approx(2)
-        assert found.density_attribute == "smoke"
+        matter = volume_optics(connect(material, scatter, "Volume"))
+        assert matter.optics.sigma_s == pytest.approx(2)
+        assert matter.density_attribute == "smoke"
 
     def test_volume_info(self):
         material = make_material()
@@ -180,7 +180,7 @@ class TestVolume:
             ),
         ],
     )
-    def test_what_is_not_constant_is_refused(self, build, message):
+    def test_unsupported_nodes_are_refused(self, build, message):
         material = make_material("fog")
         connect(material, build(material.node_tree), "Volume")
         with pytest.raises(SceneError, match="'fog'") as refusal:
@@ -197,7 +197,7 @@ class TestVolume:
         ],
     )
     def test_extinction_is_that_of_cycles(self, kind, inputs, render):
-        """The world seen through a box of 1 m that nothing lights is e^-sigma_t."""
+        """Through a box of 1 m without light, the world has a brightness of e^-sigma_t."""
         bpy.ops.mesh.primitive_cube_add(size=1)
         material = volume(kind, **inputs)
         bpy.context.object.data.materials.append(material)
@@ -205,25 +205,25 @@ class TestVolume:
         background = bpy.context.scene.world.node_tree.nodes["Background"]
         background.inputs["Color"].default_value = (1, 1, 1, 1)
         background.inputs["Strength"].default_value = 1
-        seen = render()
+        picture = render()
         optics = volume_optics(material).optics
-        assert -np.log(seen) == pytest.approx(np.add(optics.sigma_s, optics.sigma_a), rel=0.03)
+        assert -np.log(picture) == pytest.approx(np.add(optics.sigma_s, optics.sigma_a), rel=0.03)
 
 
-class TestShining:
+class TestEmission:
     @pytest.mark.parametrize(
-        ("inputs", "shines"),
+        ("inputs", "expected"),
         [
             ({}, False),
             ({"Emission_Strength": 0.5}, True),
             ({"Blackbody_Intensity": 0.1}, True),
         ],
     )
-    def test_principled(self, inputs, shines):
-        assert volume_shines(volume("ShaderNodeVolumePrincipled", **inputs)) == shines
+    def test_principled(self, inputs, expected):
+        assert volume_shines(volume("ShaderNodeVolumePrincipled", **inputs)) == expected
 
-    def test_emission_that_an_attribute_drives_beside_a_scatter_node(self):
-        """However the two are mixed, and inside of a group."""
+    def test_emission_in_a_mix_and_a_group(self):
+        """Its strength is an attribute, and the factor of the mix varies."""
         material, group = make_material(), bpy.data.node_groups.new("fire", "ShaderNodeTree")
         group.interface.new_socket("Volume", in_out="OUTPUT", socket_type="NodeSocketShader")
         flame = group.nodes.new("ShaderNodeAttribute")
@@ -237,7 +237,7 @@ class TestShining:
         both = combine(tree, add_node(tree, "ShaderNodeVolumeScatter"), fire, noise)
         assert volume_shines(connect(material, both, "Volume"))
 
-    def test_what_does_not_reach_the_volume(self):
+    def test_nodes_that_do_not_reach_the_volume(self):
         material = volume("ShaderNodeVolumeScatter")
         assert not volume_shines(connect(material, material.node_tree.nodes[-1], "Volume"))
         glow = surface("ShaderNodeEmission", Strength=3.0)
@@ -246,9 +246,9 @@ class TestShining:
         assert not volume_shines(None)
 
 
-def test_tint_takes_from_what_is_scattered():
-    found = tinted(Optics((2.0,), (1.0,), 0.9), np.array((1, 0.5, 0)))
-    assert found == Optics((2, 1, 0), (1, 2, 3), 0.9)
+def test_tint_turns_scattering_into_absorption():
+    optics = tinted(Optics((2.0,), (1.0,), 0.9), np.array((1, 0.5, 0)))
+    assert optics == Optics((2, 1, 0), (1, 2, 3), 0.9)
 
 
 def test_white_tint_changes_nothing():
@@ -310,7 +310,7 @@ class TestLeaf:
         )
 
     def test_image_and_its_alpha(self):
-        """Half of the card is cut away; the colour of that half is not seen."""
+        """Half of the card is transparent; the colour of that half does not count."""
         material = make_material()
         tree = material.node_tree
         image = add_image(tree, [[(0.2, 0.6, 0.1, 1), (1, 0, 1, 0)]])
@@ -329,7 +329,7 @@ class TestLeaf:
         assert leaf.coverage == pytest.approx(0.25)
         assert leaf.reflectance == pytest.approx(COLOR)
 
-    def test_bytes_of_an_image_are_made_linear(self):
+    def test_byte_images_are_made_linear(self):
         material = make_material()
         image = add_image(
             material.node_tree, [[(0.5, 0.25, 0, 1)]], colorspace="sRGB", is_float=False
@@ -353,7 +353,7 @@ class TestLeaf:
         material = make_material("lamp")
         tree = material.node_tree
         nodes = [add_node(tree, "ShaderNodeBsdfDiffuse", Color=(0.8,) * 3) for _ in range(2)]
-        with pytest.raises(SceneError, match="'lamp' sends out more light"):
+        with pytest.raises(SceneError, match="'lamp' reflects and transmits more light"):
             leaf_optics(connect(material, combine(tree, *nodes), "Surface"))
 
     def test_unknown_node_is_refused(self):

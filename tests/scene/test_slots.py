@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which material of an object counts: the one that Cycles renders."""
+"""The material of an object that counts is the one that Cycles renders."""
 
 import bpy
 import numpy as np
@@ -88,8 +88,8 @@ def by_nodes(ob):
         (slots(lambda: fog(0.0), lambda: fog(0.4)), 0.0),
     ],
 )
-def test_volumes_have_the_first_that_cycles_renders(prepare, extinction, tmp_path, render):
-    """The world seen through a fog that nothing lights is e^-tau."""
+def test_volumes_have_the_first_material_that_cycles_renders(prepare, extinction, tmp_path, render):
+    """Through a fog without light, the world has a brightness of e^-tau."""
     ob = scenery.add_fog(tmp_path, np.ones((40, 40, 40)), material=False)  # 10 m
     prepare(ob)
     scene = bpy.context.scene
@@ -97,20 +97,20 @@ def test_volumes_have_the_first_that_cycles_renders(prepare, extinction, tmp_pat
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1
     scene.cycles.samples, scene.cycles.volume_biased = 1, True
-    seen = render()
+    picture = render()
     source, notes = read(ob)
     optics = source.shares(DOMAIN)[0].optics
     assert np.add(optics.sigma_s, optics.sigma_a) == pytest.approx(extinction)
     assert notes == []
     if not source.glows:
-        assert 10 * extinction == pytest.approx(-np.log(seen[0]), rel=0.03, abs=1e-3)
-    else:  # every metre adds its colour
-        assert seen - 1 == pytest.approx(10 * np.array((1, 0.5, 0.25)), rel=0.03)
+        assert 10 * extinction == pytest.approx(-np.log(picture[0]), rel=0.03, abs=1e-3)
+    else:  # each metre adds the colour
+        assert picture - 1 == pytest.approx(10 * np.array((1, 0.5, 0.25)), rel=0.03)
 
 
 @pytest.mark.parametrize("materials", [[], [None], [None, lambda: fog(0.4)]])
 def test_an_empty_first_slot_is_no_material(materials, tmp_path):
-    """Cycles has one of its own for it, so the second slot does not count."""
+    """Cycles renders it with a default material, so the second slot does not count."""
     ob = scenery.add_fog(tmp_path, material=False)
     for material in materials:
         ob.data.materials.append(material and material())
@@ -120,7 +120,7 @@ def test_an_empty_first_slot_is_no_material(materials, tmp_path):
 
 
 def test_a_circle_of_links_is_refused(tmp_path):
-    """Cycles renders nothing of it; no preset stands in."""
+    """Cycles renders nothing of it, and no preset replaces it."""
     ob = scenery.add_fog(tmp_path)
     tree = ob.active_material.node_tree
     first, second = (tree.nodes.new("ShaderNodeAddShader") for _ in range(2))
@@ -130,16 +130,16 @@ def test_a_circle_of_links_is_refused(tmp_path):
         read(ob)
 
 
-def test_smoke_has_the_first_that_has_a_volume():
+def test_smoke_has_the_first_material_with_a_volume():
     """An empty slot of a mesh has a plain surface."""
     ob = scenery.add_ball(material=surface("ShaderNodeBsdfDiffuse"))
     ob.data.materials.append(None)
     ob.data.materials.append(fog(2.0))
-    found = smoke.materials(ob, bpy.context.evaluated_depsgraph_get())
-    assert found == [ob.data.materials[0], ob.data.materials[2]]
+    materials = smoke.materials(ob, bpy.context.evaluated_depsgraph_get())
+    assert materials == [ob.data.materials[0], ob.data.materials[2]]
 
 
-def test_an_override_of_the_view_layer_is_told(tmp_path):
+def test_a_material_override_of_the_view_layer_gives_a_note(tmp_path):
     ob = scenery.add_fog(tmp_path)
     bpy.context.view_layer.material_override = bpy.data.materials.new("clay")
     source, (note,) = read(ob)
@@ -148,7 +148,7 @@ def test_an_override_of_the_view_layer_is_told(tmp_path):
 
 
 class TestGrids:
-    def test_a_material_that_reads_no_grid_is_told(self, tmp_path):
+    def test_a_material_without_a_grid_gives_a_note(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
         ob.active_material.node_tree.nodes["Principled Volume"].inputs[
             "Density Attribute"
@@ -158,8 +158,8 @@ class TestGrids:
         assert set(np.unique(source.shares(DOMAIN)[0].density)) == {0, 1}
         assert read(ob, grid="density")[1] == []
 
-    def test_what_only_shines_has_to_be_read(self, tmp_path):
-        """Where there is more to see, a note says that the glow is left out."""
+    def test_unsupported_emission_is_refused_if_it_is_all(self, tmp_path):
+        """If the material also scatters, a note says that the emission is left out."""
         ob = scenery.add_fog(tmp_path, material=False)
         material = glow()
         ob.data.materials.append(material)
@@ -173,7 +173,7 @@ class TestGrids:
         notes = read(ob)[1]
         assert any(note.startswith("'fog' shines by itself, which does not") for note in notes)
 
-    def test_what_only_shines_by_a_grid_that_is_missing_is_refused(self, tmp_path):
+    def test_emission_by_a_missing_grid_is_refused_if_it_is_all(self, tmp_path):
         ob = scenery.add_fog(tmp_path, material=False)
         material = glow()
         ob.data.materials.append(material)
@@ -181,8 +181,8 @@ class TestGrids:
         with pytest.raises(SceneError, match="'fog' has no grid 'fire'; choose one of: density"):
             read(ob)
 
-    def test_a_clamped_density_is_clamped_before_it_is_averaged(self, tmp_path):
-        """Voxels of 0.25 and of 1, half of each, at most 0.5: 0.375 where both are in one."""
+    def test_density_is_clamped_before_it_is_averaged(self, tmp_path):
+        """The mean of 0.25 and 1, clamped to 0.5, is 0.375."""
         values = np.full((16, 16, 16), 0.25)
         values[::2] = 1
         ob = scenery.add_fog(tmp_path, values, material=False)
@@ -199,8 +199,8 @@ class TestGrids:
         assert share.density[1:-1, 1:-1, 1:-1] == pytest.approx(0.375)
         assert share.optics.sigma_s == pytest.approx(2 * 0.8)
 
-    def test_a_solid_whose_density_follows_a_grid_is_refused(self):
-        """A mesh has no grid; the name in a Principled Volume counts as 1 then, links as 0."""
+    def test_a_solid_with_a_density_from_a_grid_is_refused(self):
+        """A mesh has no grid: a named Density Attribute then counts as 1, a linked one as 0."""
         ob = scenery.add_ball(material=fog(2.0))
         assert read(ob)[0].material.optics.sigma_a == pytest.approx(2)
         tree = ob.active_material.node_tree
@@ -210,7 +210,7 @@ class TestGrids:
         with pytest.raises(SceneError, match="'ball' follows the attribute 'smoke', which a mesh"):
             read(ob)
 
-    def test_a_density_that_follows_the_object(self, tmp_path):
+    def test_a_density_from_an_object_attribute(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
         ob["thickness"] = 2.5
         tree = ob.active_material.node_tree
@@ -222,15 +222,15 @@ class TestGrids:
 
 class TestFaces:
     @pytest.mark.parametrize("materials", [[], [None], [None, None]])
-    def test_without_a_material_are_plain(self, materials):
+    def test_faces_without_a_material_are_plain(self, materials):
         ob = scenery.add_leaves(material=False)
         for material in materials:
             ob.data.materials.append(material)
         optics = read(ob)[0].shares(DOMAIN)[0].optics
         assert optics.sigma_s == pytest.approx(0.8)
 
-    def test_of_a_material_that_renders_nothing(self):
-        """Cycles shows a surface without nodes black."""
+    def test_faces_with_an_empty_material_are_black(self):
+        """As in Cycles."""
         material = make_material("empty")
         ob = scenery.add_leaves(material=False)
         ob.data.materials.append(material)

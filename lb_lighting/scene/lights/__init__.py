@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps, worlds and shining meshes read as the lights of the solver."""
+"""Reads lamps, worlds and emissive meshes as lights for the solver."""

@@ -1,47 +1,64 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is lit, and which lights Blender lets reach it: ray visibility, and light linking."""
+"""The objects to light, and the lights that reach them by ray visibility and light linking."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...arrays import Array, Floats, Vector
 from ..materials import has_volume
+from ..remarks import Remarks
+from ..sources import Source
+from ..surface_sources import FoliageSource, OccluderSource, SolidSource
 
-NO_RAYS = "Left out, because Ray Visibility keeps the light from what is selected: {}."
-NOT_LINKED = "Left out, because Light Linking keeps the light from what is selected: {}."
+if TYPE_CHECKING:
+    import bpy
+
+NO_RAYS = "Left out, because Ray Visibility hides them from the selected objects: {}."
+NOT_LINKED = "Left out, because Light Linking excludes the selected objects: {}."
 SOME_RAYS = (
-    "Light reaches volumes and surfaces alike in one bake; to follow the Ray Visibility of {}, "
-    "bake volumes and surfaces apart."
+    "One bake lights volumes and surfaces alike; to follow the Ray Visibility of {}, bake volumes "
+    "and surfaces separately."
 )
 SOME_LINKED = (
-    "Light reaches all that is baked together; to follow the Light Linking of {}, bake apart what "
-    "it keeps in the dark."
+    "One bake lights all of its objects; to follow the Light Linking of {}, bake the objects that "
+    "it excludes separately."
 )
 SHADED = (
-    "All that is selected shades the light of {}, although Shadow Linking, or Cast Shadow, says "
-    "otherwise."
+    "All selected objects cast shadows in the light of {}, although Shadow Linking or Cast Shadow "
+    "says otherwise."
 )
 
 
 @dataclass(frozen=True)
 class Receivers:
-    """The objects that are lit.
+    """The objects to light.
 
-    objects  (n,) original bpy.types.Object
-    volumes  (n,) bool: does light scatter in it as in a volume, or on its surface?
-    lower, upper  (3,) m, the box that is lit
+    objects       (n,) original objects
+    volumes       (n,) bool: whether the object is lit as a volume; otherwise its surface is lit
+    lower, upper  (3,) m, the box to light
     """
 
-    objects: tuple
-    volumes: tuple
-    lower: np.ndarray
-    upper: np.ndarray
+    objects: tuple[bpy.types.Object, ...]
+    volumes: tuple[bool, ...]
+    lower: Floats
+    upper: Floats
 
     @classmethod
-    def of(cls, objects, sources, depsgraph, box=None):
-        """Those that `sources` were made of.
+    def of(
+        cls,
+        objects: Sequence[bpy.types.Object],
+        sources: Sequence[Source],
+        depsgraph: bpy.types.Depsgraph,
+        box: tuple[Vector, Vector] | None = None,
+    ) -> Receivers:
+        """The `objects` that the `sources` were made of, one each.
 
-        box  (lower, upper) m, what is lit of them, or None for all
+        box  (lower, upper) m, the part to light, or None for all of them
         """
         volumes = [
             source.is_volume or (source.is_body and _has_volume(ob))
@@ -54,47 +71,55 @@ class Receivers:
         return cls(tuple(objects), tuple(volumes), *np.array(box, float))
 
     @property
-    def center(self):
-        """(3,) m, of the box."""
+    def center(self) -> Floats:
+        """(3,) m, the centre of the box."""
         return (self.lower + self.upper) / 2
 
     @property
-    def size(self):
+    def size(self) -> float:
         """m, the longest edge of the box."""
         return float(np.max(self.upper - self.lower))
 
     @property
-    def has_volumes(self):
+    def has_volumes(self) -> bool:
         return any(self.volumes)
 
     @property
-    def has_surfaces(self):
+    def has_surfaces(self) -> bool:
         return not all(self.volumes)
 
-    def take_object(self, ob, remarks):
-        """`take` the light of the evaluated object of a lamp or a shining mesh."""
-        # Evaluated objects have collections of evaluated objects.
-        linking = ob.original.light_linking
+    def take_object(self, ob: bpy.types.Object, remarks: Remarks) -> bool:
+        """`take` for the evaluated object of a lamp or an emissive mesh."""
+        # The collections of an evaluated object hold evaluated objects.
+        original: Any = ob.original
+        linking = original.light_linking
         return self.take(ob.name, ob.visible_diffuse, ob.visible_volume_scatter, linking, remarks)
 
-    def take(self, name, surfaces, volumes, linking, remarks):
-        """Whether a light shines on any of them; remarks say where it should not shine on all.
+    def take(
+        self,
+        name: str,
+        surfaces: bool,
+        volumes: bool,
+        linking: bpy.types.ObjectLightLinking | None,
+        remarks: Remarks,
+    ) -> bool:
+        """Whether a light reaches any of the objects; adds a remark unless it reaches all.
 
-        name      of the light
-        surfaces, volumes  whether its rays are visible to these
-        linking   `bpy.types.ObjectLightLinking` of its original object, or None for a world
+        name               of the light
+        surfaces, volumes  whether its rays are visible to them
+        linking            of its original object, or None for a world
         """
-        seen = [volumes if is_volume else surfaces for is_volume in self.volumes]
-        if not any(seen):
+        visible = [volumes if is_volume else surfaces for is_volume in self.volumes]
+        if not any(visible):
             remarks.add(NO_RAYS, name)
             return False
-        linked = [True] * len(seen)
+        linked = [True] * len(visible)
         if linking and linking.receiver_collection:
             linked = members(linking.receiver_collection, self.objects)
-        if not any(s and k for s, k in zip(seen, linked, strict=True)):
+        if not any(v and k for v, k in zip(visible, linked, strict=True)):
             remarks.add(NOT_LINKED, name)
             return False
-        if not all(seen):
+        if not all(visible):
             remarks.add(SOME_RAYS, name)
         if not all(linked):
             remarks.add(SOME_LINKED, name)
@@ -104,43 +129,47 @@ class Receivers:
         return True
 
 
-def members(collection, objects):
-    """[bool]: is each of `objects` in the set that a collection of Light Linking stands for?
+def members(collection: bpy.types.Collection, objects: Sequence[bpy.types.Object]) -> list[bool]:
+    """[bool]: whether a Light Linking collection contains each of `objects`.
 
-    As in Blender: what is included, or all where nothing is; less what is excluded.
+    As in Blender, it contains the included objects, or all objects if none is included, without
+    the excluded ones.
     """
-    states = {}
+    states: dict[bpy.types.Object, str] = {}
     for child, entry in zip(collection.children, collection.collection_children, strict=True):
         states |= dict.fromkeys(child.all_objects, entry.light_linking.link_state)
-    for ob, entry in zip(collection.objects, collection.collection_objects, strict=True):
-        states[ob] = entry.light_linking.link_state
+    for ob, link in zip(collection.objects, collection.collection_objects, strict=True):
+        states[ob] = link.light_linking.link_state
     others = "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE"
     return [states.get(ob, others) == "INCLUDE" for ob in objects]
 
 
-def _has_volume(ob):
+def _has_volume(ob: bpy.types.Object) -> bool:
     return any(has_volume(slot.material) for slot in ob.material_slots)
 
 
-def placed_boxes(lower, upper, matrices):
-    """(k, 2, 3): the lower and upper corners of the boxes about the box from `lower` to `upper`,
-    (3,) or (k, 3), under each of the matrices (k, 4, 4)."""
+def placed_boxes(lower: Array, upper: Array, matrices: Array | Sequence[Any]) -> Floats:
+    """(k, 2, 3): lower and upper corners of the bounding boxes of transformed boxes.
+
+    lower, upper  (3,) or (k, 3), the boxes
+    matrices      (k, 4, 4), their transforms
+    """
     matrices = np.asarray(matrices, float).reshape(-1, 4, 4)
     middle, half = np.add(lower, upper) / 2, np.subtract(upper, lower) / 2
-    turn = matrices[:, :3, :3]
-    center = np.einsum("kij,kj->ki", turn, np.broadcast_to(middle, (len(turn), 3)))
+    axes = matrices[:, :3, :3]
+    center = np.einsum("kij,kj->ki", axes, np.broadcast_to(middle, (len(axes), 3)))
     center += matrices[:, :3, 3]
-    reach = np.einsum("kij,kj->ki", np.abs(turn), np.broadcast_to(half, (len(turn), 3)))
-    return np.stack([center - reach, center + reach], axis=1)
+    extent = np.einsum("kij,kj->ki", np.abs(axes), np.broadcast_to(half, (len(axes), 3)))
+    return np.stack([center - extent, center + extent], axis=1)
 
 
-def _outline(ob, source, depsgraph):
-    """(k, 2, 3) m: boxes about a source, found in no time; they may be somewhat too large."""
-    if faces := getattr(source, "faces", None):
-        return np.concatenate([_box_of(part.mesh.points, part.matrices) for part in faces])
+def _outline(ob: bpy.types.Object, source: Source, depsgraph: bpy.types.Depsgraph) -> Floats:
+    """(k, 2, 3) m: bounding boxes of a source, quick to compute and at times too large."""
+    if isinstance(source, (FoliageSource, SolidSource, OccluderSource)) and source.faces:
+        return np.concatenate([_box_of(part.mesh.points, part.matrices) for part in source.faces])
     evaluated = ob.evaluated_get(depsgraph)
     return _box_of(np.array(evaluated.bound_box), [evaluated.matrix_world])
 
 
-def _box_of(points, matrices):
+def _box_of(points: Floats, matrices: Array | Sequence[Any]) -> Floats:
     return placed_boxes(points.min(axis=0), points.max(axis=0), matrices)

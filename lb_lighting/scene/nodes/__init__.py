@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Node trees read: closures, links, values and attributes."""
+"""Reads node trees: closures, links, values and attributes."""

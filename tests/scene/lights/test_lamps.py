@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps and the world, held to what Cycles makes of them."""
+"""Lamps and the world, checked against Cycles."""
 
 from math import pi, radians
 
@@ -78,10 +78,10 @@ def lights(notes=None):
     return scene_lights(bpy.context.scene, depsgraph, [] if notes is None else notes)
 
 
-def irradiance(found, normal):
-    """(3,) W/m^2 on a surface, from suns and from skies by 100 000 directions."""
+def irradiance(lights, normal):
+    """(3,) W/m^2 on a surface, from suns, and from 100 000 directions of skies."""
     total = np.zeros(3)
-    for light in found:
+    for light in lights:
         if isinstance(light, Sun):
             total += np.multiply(light.irradiance, max(0, -np.dot(light.direction, normal)))
         else:
@@ -105,7 +105,7 @@ class TestSuns:
         ],
     )
     def test_irradiance_is_that_of_cycles(self, settings, render):
-        """A white diffuse ground sends back irradiance over pi."""
+        """A white diffuse ground reflects irradiance over pi."""
         add_white_ground()
         add_sun(**settings)
         (sun,) = lights()
@@ -125,13 +125,13 @@ class TestSuns:
         add_sun(energy=2.0)
         assert lights() == [Sun((0, 0, -1), 2.0)]
 
-    def test_direction_is_where_the_light_goes(self):
+    def test_direction_is_that_of_its_light(self):
         rotation = Euler((0.5, -0.3, 1.2))
         add_sun(rotation=rotation)
         (sun,) = lights()
         assert sun.direction == pytest.approx(-rotation.to_matrix().col[2])
 
-    def test_instanced(self):
+    def test_instances(self):
         collection = bpy.data.collections.new("lamps")
         add_sun(collection)
         empty = bpy.data.objects.new("empty", None)
@@ -141,7 +141,7 @@ class TestSuns:
         (sun,) = lights()
         assert sun.direction == pytest.approx((0, 1, 0), abs=1e-6)
 
-    def test_hidden_ones_are_left_out(self):
+    def test_hidden_lamps_are_left_out(self):
         add_sun(energy=1.0)
         add_sun(energy=2.0).hide_render = True
         collection = bpy.data.collections.new("off")
@@ -151,8 +151,8 @@ class TestSuns:
         add_sun(energy=0.0)
         assert [sun.irradiance for sun in lights()] == [1.0]
 
-    def test_those_hidden_in_viewports_only_shine(self):
-        """By itself, by its collection, or with the eye; each where it stands at this frame."""
+    def test_lamps_hidden_in_viewports_only_are_included(self):
+        """Hidden by the object, its collection or the eye icon; placed as at the current frame."""
         scene, parent = bpy.context.scene, bpy.data.objects.new("parent", None)
         scene.collection.objects.link(parent)
         parent.rotation_euler = (pi / 2, 0, 0)
@@ -181,13 +181,13 @@ class TestSuns:
         assert moving.hide_viewport
         assert collection.hide_viewport
 
-    def test_one_in_two_collections_counts_once(self):
+    def test_a_lamp_in_two_collections_counts_once(self):
         collection = bpy.data.collections.new("too")
         bpy.context.scene.collection.children.link(collection)
         collection.objects.link(add_sun())
         assert len(lights()) == 1
 
-    def test_one_in_an_excluded_collection_is_left_out(self):
+    def test_a_lamp_in_an_excluded_collection_is_left_out(self):
         collection = bpy.data.collections.new("out")
         bpy.context.scene.collection.children.link(collection)
         add_sun(collection, energy=2.0)
@@ -197,7 +197,7 @@ class TestSuns:
 
 
 class TestPoints:
-    HEIGHT = 3.0  # m over the ground, of which the picture shows 0.25 m around the foot
+    HEIGHT = 3.0  # m above the ground; the picture shows 0.25 m around the point below
 
     @pytest.mark.parametrize(
         "settings",
@@ -210,9 +210,9 @@ class TestPoints:
         ],
     )
     def test_power_is_that_of_cycles(self, settings, render):
-        """A white diffuse ground sends back power / (4 pi distance^2) over pi.
+        """A white diffuse ground reflects power / (4 pi distance^2) over pi.
 
-        The mean over the picture is 0.25 % less than right under the lamp.
+        The mean over the picture is 0.25 % less than the value right below the lamp.
         """
         add_white_ground()
         add_lamp("POINT", (0, 0, self.HEIGHT), **settings)
@@ -220,14 +220,14 @@ class TestPoints:
         irradiance = np.broadcast_to(point.power, 3) / (4 * pi * self.HEIGHT**2)
         assert render() * pi == pytest.approx(irradiance, rel=1e-2)
 
-    def test_is_where_the_lamp_is(self):
+    def test_position(self):
         parent = bpy.data.objects.new("parent", None)
         bpy.context.collection.objects.link(parent)
         parent.location = (1, 2, 3)
         add_lamp("POINT", (0.5, 0, 0), energy=10.0).parent = parent
         assert lights() == [PointLight((1.5, 2, 3), 10.0)]
 
-    def test_its_radius_counts_where_its_falloff_is_soft(self):
+    def test_the_radius_counts_with_soft_falloff(self):
         for kind in ("POINT", "SPOT"):
             add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25)
             add_lamp(kind, (0, 0, 0), energy=10.0, shadow_soft_size=0.25, use_soft_falloff=False)
@@ -235,14 +235,14 @@ class TestPoints:
 
 
 def falloff(cosine, angle, blend):
-    """Of a spot, (n,): the smoothstep between the cone's edge and its soft edge's."""
+    """(n,): a spot's smoothstep from the edge of its cone to the end of its soft border."""
     edge = np.cos(angle / 2)
     share = np.clip((cosine - edge) / max(blend * (1 - edge), 1e-9), 0, 1)
     return 3 * share**2 - 2 * share**3
 
 
 class TestSpots:
-    HEIGHT = 3.0  # m over the ground
+    HEIGHT = 3.0  # m above the ground
 
     @pytest.mark.parametrize(
         ("tilt", "settings", "scale"),
@@ -255,21 +255,21 @@ class TestSpots:
         ],
     )
     def test_light_is_that_of_cycles(self, tilt, settings, scale, render):
-        """On a white diffuse ground under it, of which the picture shows .25 m around the foot."""
+        """On a white diffuse ground; the picture shows 0.25 m around the point below the lamp."""
         add_white_ground()
         settings = {"shadow_soft_size": 0.0, "energy": 300.0, "spot_size": 0.6} | settings
         ob = add_lamp("SPOT", (0, 0, self.HEIGHT), **settings)
         ob.rotation_euler, ob.scale = (tilt, 0, 0), (scale,) * 3
         (spot,) = lights()
         x, y = (np.indices((64, 64)) + 0.5).reshape(2, -1) / 64 * 0.5 - 0.25
-        way = np.stack((x, y, np.full(x.size, -self.HEIGHT)), axis=1)
-        length = np.linalg.norm(way, axis=1)
-        cosine = way @ spot.direction / length / np.linalg.norm(spot.direction)
-        shining = falloff(cosine, spot.angle, spot.blend) * self.HEIGHT / length**3
-        irradiance = np.broadcast_to(spot.power, 3) / (4 * pi) * shining.mean()
+        ray = np.stack((x, y, np.full(x.size, -self.HEIGHT)), axis=1)
+        length = np.linalg.norm(ray, axis=1)
+        cosine = ray @ spot.direction / length / np.linalg.norm(spot.direction)
+        share = falloff(cosine, spot.angle, spot.blend) * self.HEIGHT / length**3
+        irradiance = np.broadcast_to(spot.power, 3) / (4 * pi) * share.mean()
         assert render() * pi == pytest.approx(irradiance, rel=1e-2)
 
-    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+    def test_position_and_direction(self):
         ob = add_lamp("SPOT", (1, 2, 3), energy=10.0, spot_size=1.0, spot_blend=0.25)
         ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
         (spot,) = lights()
@@ -278,12 +278,12 @@ class TestSpots:
         assert spot.direction == pytest.approx(-rotation.to_matrix().col[2])
         assert (spot.angle, spot.power, spot.blend) == pytest.approx((1.0, 10.0, 0.25))
 
-    def test_a_stretched_one_has_a_wider_cone(self):
+    def test_stretching_widens_the_cone(self):
         add_lamp("SPOT", spot_size=1.0).scale = (2, 2, 1)
         (spot,) = lights()
         assert np.tan(spot.angle / 2) == pytest.approx(2 * np.tan(0.5))
 
-    def test_cones_that_are_not_round_are_named(self):
+    def test_a_note_names_spots_with_uneven_cones(self):
         add_lamp("SPOT").scale = (2, 2, 1)
         add_lamp("SPOT").scale = (2, 1, 1)
         skewed = add_lamp("SPOT")
@@ -298,7 +298,7 @@ class TestSpots:
 
 
 class TestAreas:
-    HEIGHT = 2.0  # m over the ground, of which the picture shows 0.25 m around the foot
+    HEIGHT = 2.0  # m above the ground; the picture shows 0.25 m around the point below
 
     @pytest.mark.parametrize(
         "settings",
@@ -313,22 +313,22 @@ class TestAreas:
     )
     @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 2, 3)])
     def test_light_is_that_of_cycles(self, settings, scale, render):
-        """On a white diffuse ground, from photons of ours that hit the part that is seen."""
+        """On a white diffuse ground, compared with our photons that hit the visible part."""
         add_white_ground()
         ob = add_lamp("AREA", (0, 0, self.HEIGHT), energy=100.0, **settings)
         ob.scale, ob.rotation_euler = scale, (0, 0, 0.7)
         (area,) = lights()
-        seen = Medium(np.zeros((4, 4, 4)), 0.125, (1, 1, 1), 0, origin=(-0.25, -0.25, 0))
-        irradiance = [self.through_ground(area, seen, band) / 0.25 for band in range(3)]
+        medium = Medium(np.zeros((4, 4, 4)), 0.125, (1, 1, 1), 0, origin=(-0.25, -0.25, 0))
+        irradiance = [self.power_on_ground(area, medium, band) / 0.25 for band in range(3)]
         assert render() * pi == pytest.approx(irradiance, rel=1e-2)
 
-    def through_ground(self, area, seen, band):
-        origins, toward, power = area.emit(2**18, seen, np.random.default_rng(1), band)
+    def power_on_ground(self, area, medium, band):
+        origins, toward, power = area.emit(2**18, medium, np.random.default_rng(1), band)
         toward[:, 2] = np.minimum(toward[:, 2], -1e-9)
         ends = origins - origins[:, 2:] / toward[:, 2:] * toward
         return power[np.all(abs(ends[:, :2]) < 0.25, axis=1)].sum()
 
-    def test_is_where_the_lamp_is_and_shines_where_it_points(self):
+    def test_position_and_direction(self):
         ob = add_lamp("AREA", (1, 2, 3), energy=10.0, shape="RECTANGLE", size=2.0, size_y=0.5)
         ob.rotation_euler = rotation = Euler((0.5, -0.3, 1.2))
         (area,) = lights()
@@ -341,21 +341,21 @@ class TestAreas:
     @pytest.mark.parametrize(
         "scale", [(-1, 1, 1), (1, 1, -1), (-1, -1, -1), (-1, -1, 1), (1, 1, 0)]
     )
-    def test_mirrored_one_shines_where_cycles_lets_it(self, scale):
+    def test_mirrored_lamps_emit_to_the_side_of_cycles(self, scale):
         add_lamp("AREA", size=1.0).scale = scale
         (area,) = lights()
         assert np.cross(area.u, area.v) == pytest.approx((0, 0, -1 if scale[2] >= 0 else 1))
 
     @pytest.mark.parametrize("kind", ["SUN", "SPOT", "AREA"])
-    def test_lamp_that_is_scaled_to_nothing_is_left_out(self, kind):
+    def test_a_lamp_scaled_to_zero_is_left_out(self, kind):
         add_lamp(kind).scale = (0, 0, 0)
         add_sun(energy=2.0)
         notes = []
         (sun,) = lights(notes)
         assert sun.irradiance == pytest.approx(2.0)
-        assert notes == [f"Left out, because they are scaled to nothing: '{kind.lower()}'."]
+        assert notes == [f"Left out, because they are scaled to zero: '{kind.lower()}'."]
 
-    def test_portals_do_not_shine(self):
+    def test_portals_are_left_out(self):
         add_lamp("AREA").data.cycles.is_portal = True
         with pytest.raises(LightError, match="no light"):
             lights()
@@ -378,7 +378,7 @@ class TestWorld:
         assert [type(light) for light in lights()] == [Sun, Sky]
         assert [light.spectrum for light in lights()] == [2, 0.5]
 
-    def test_an_environment_is_a_sky_by_direction(self):
+    def test_an_environment_becomes_a_sky(self):
         """Radiance 1 above 45 degrees of latitude."""
         pixels = np.zeros((64, 8, 4))
         pixels[48:] = 1
@@ -394,7 +394,7 @@ class TestWorld:
          ("TEXTURE", (0.5, -0.9, 2.1)), ("VECTOR", (0, 0, -2.5))],
     )  # fmt: skip
     def test_an_environment_lights_as_in_cycles(self, kind, rotation, render):
-        """Tilted ground under a coloured sky with a small sun in it, however it is turned."""
+        """A tilted ground under a coloured sky with a small sun in it, for several rotations."""
         add_white_ground()
         bpy.context.object.rotation_euler = Euler((0.6, -0.5, 0))
         normal = np.array(bpy.context.object.rotation_euler.to_matrix().col[2])
@@ -402,15 +402,15 @@ class TestWorld:
         pixels = np.ones((64, 128, 4))
         pixels[..., :3] = np.stack((row / 64, column / 128, np.ones_like(row)), axis=-1)
         pixels[40:42, 30:32, :3] = (2000, 1000, 500)
-        render()  # makes the camera and a world, which is replaced
+        render()  # makes the camera, and a world that the next line replaces
         world = add_world(strength=0.5)
         environment = add_environment(world, pixels)
         if kind:
             add_mapping(environment, kind, rotation)
-        found = lights()
-        assert {type(light) for light in found} == {Sun, Sky}
+        sky_lights = lights()
+        assert {type(light) for light in sky_lights} == {Sun, Sky}
         bpy.context.scene.cycles.samples = 1024
-        assert render() * pi == pytest.approx(irradiance(found, normal), rel=2e-2)
+        assert render() * pi == pytest.approx(irradiance(sky_lights, normal), rel=2e-2)
 
     def test_a_grey_environment_is_one_band(self):
         pixels = np.ones((8, 16, 4)) * np.linspace(0, 1, 16)[:, None]
@@ -420,7 +420,7 @@ class TestWorld:
         add_environment(add_world((1, 1, 1)), pixels * (1, 0.5, 1, 1))
         assert bands_of(lights()[0]) == 3
 
-    def test_an_environment_that_is_not_just_turned_counts_as_its_mean(self):
+    def test_an_environment_with_another_mapping_becomes_its_mean_color(self):
         pixels = np.zeros((64, 8, 4))
         pixels[48:] = 1
         environment, notes = add_environment(add_world(), pixels), []
@@ -429,7 +429,7 @@ class TestWorld:
         (sky,) = lights(notes)
         assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
         assert len(notes) == 1
-        assert "'world' counts as its mean colour" in notes[0]
+        assert "'world' is baked as its mean colour" in notes[0]
 
     def test_missing_image_is_refused(self):
         world = add_world()
@@ -442,10 +442,12 @@ class TestWorld:
         tree = world.node_tree
         sky = tree.nodes.new("ShaderNodeTexSky")
         tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
-        with pytest.raises(LightError, match=r"'Sky Texture'.*; use a plain value or an image\.$"):
+        with pytest.raises(
+            LightError, match=r"'Sky Texture'.*; use a constant value or an image\.$"
+        ):
             lights()
 
-    def test_a_node_that_is_no_background_is_refused(self):
+    def test_other_shaders_than_background_are_refused(self):
         tree = add_world().node_tree
         shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
         output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")

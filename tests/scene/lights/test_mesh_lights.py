@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes that shine light the scene: flat ones as area lamps, others as a few lamps."""
+"""Emissive meshes: flat ones become area lamps, others a few lamps."""
 
 import bmesh
 import bpy
@@ -27,21 +27,21 @@ def read(notes=None, lower=LOWER, upper=UPPER, lit=(), needed=False):
     )
 
 
-def shining(strength=5.0, color=(1, 1, 1)):
+def emissive(strength=5.0, color=(1, 1, 1)):
     return surface("ShaderNodeEmission", Strength=strength, Color=(*color, 1))
 
 
 def add_panel(z=2.0, material=None, width=1.2, depth=0.8):
-    """A rectangle over the box, which faces up."""
+    """A rectangle above the box that faces up."""
     x, y = width / 2, depth / 2
     mesh = bpy.data.meshes.new("panel")
     mesh.from_pydata([(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)], [], [(0, 1, 2, 3)])
-    mesh.materials.append(material or shining())
+    mesh.materials.append(material or emissive())
     return scenery.link("panel", mesh)
 
 
 def backfacing(material, seen_from):
-    """`material` shines from the front or the back of faces only."""
+    """Make `material` emit light from the front or the back of faces only."""
     tree = material.node_tree
     mix, geometry = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeNewGeometry")
     glow = next(n for n in tree.nodes if n.type == "EMISSION")
@@ -66,9 +66,9 @@ class TestAgainstCycles:
 
 class TestMeshes:
     def test_a_rectangle_is_one_area_light(self):
-        """Its lower side; nothing is in front of its upper one."""
+        """The lower side emits; the upper one faces away from the box."""
         notes = []
-        add_panel(material=shining(5.0, (1, 0.5, 0.25)))
+        add_panel(material=emissive(5.0, (1, 0.5, 0.25)))
         (light,) = read(notes)
         assert isinstance(light, AreaLight)
         assert light.center == pytest.approx((0, 0, 2))
@@ -79,22 +79,22 @@ class TestMeshes:
         assert not light.ellipse
         assert notes == []
 
-    def test_in_the_box_it_shines_on_both_sides(self):
+    def test_in_the_box_both_sides_emit(self):
         add_panel(z=0.5)
         lights = read()
         assert sorted(np.cross(a.u, a.v)[2] for a in lights) == pytest.approx((-0.96, 0.96))
         assert [a.power for a in lights] == pytest.approx([np.pi * 5 * 0.96] * 2)
 
     @pytest.mark.parametrize(("side", "count"), [("front", 0), ("back", 1)])
-    def test_nodes_may_keep_it_dark_on_one_side(self, side, count):
-        add_panel(material=backfacing(shining(), side))
+    def test_nodes_can_make_one_side_dark(self, side, count):
+        add_panel(material=backfacing(emissive(), side))
         assert len(read()) == count
 
-    def test_a_mirrored_one_shines_to_the_same_side(self):
-        add_panel(material=backfacing(shining(), "back")).scale.x = -1
+    def test_a_mirrored_panel_emits_to_the_same_side(self):
+        add_panel(material=backfacing(emissive(), "back")).scale.x = -1
         assert len(read()) == 1
 
-    def test_a_principled_one_counts_by_its_alpha(self):
+    def test_alpha_scales_the_emission_of_a_principled_bsdf(self):
         material = scenery.leaf_material()
         inputs = material.node_tree.nodes["Principled BSDF"].inputs
         inputs["Emission Strength"].default_value, inputs["Alpha"].default_value = 5.0, 0.5
@@ -102,8 +102,8 @@ class TestMeshes:
         (light,) = read()
         assert light.power == pytest.approx(np.pi * 5 * 0.96 * 0.5)
 
-    def test_light_for_the_camera_alone_does_not_count(self):
-        material = shining()
+    def test_emission_for_the_camera_only_is_left_out(self):
+        material = emissive()
         tree = material.node_tree
         path = tree.nodes.new("ShaderNodeLightPath")
         emission = next(n for n in tree.nodes if n.type == "EMISSION")
@@ -111,8 +111,8 @@ class TestMeshes:
         add_panel(material=material)
         assert read() == []
 
-    def test_a_pattern_counts_as_even_and_is_named(self):
-        material, notes = shining(), []
+    def test_a_pattern_becomes_even_with_a_note(self):
+        material, notes = emissive(), []
         tree = material.node_tree
         noise = tree.nodes.new("ShaderNodeTexNoise")
         emission = next(n for n in tree.nodes if n.type == "EMISSION")
@@ -133,18 +133,18 @@ class TestMeshes:
         setattr(panel, name, name.startswith("hide"))
         assert len(read()) == count
 
-    def test_one_linked_to_others_is_left_out(self):
+    def test_a_panel_linked_to_other_objects_is_left_out(self):
         notes, panel = [], add_panel()
         panel.light_linking.receiver_collection = bpy.data.collections.new("receivers")
         panel.light_linking.receiver_collection.objects.link(scenery.link("other", None))
         assert read(notes) == []
         assert "Light Linking" in notes[0]
 
-    def test_one_that_is_not_sampled_shines_all_the_same(self):
+    def test_a_panel_without_emission_sampling_counts(self):
         add_panel().data.materials[0].cycles.emission_sampling = "NONE"
         assert len(read()) == 1
 
-    def test_one_that_is_selected_is_named(self):
+    def test_a_selected_panel_gives_a_note(self):
         notes, panel = [], add_panel(z=0.0)
         assert read(notes, lit=[panel]) == []
         assert len(notes) == 1
@@ -152,7 +152,7 @@ class TestMeshes:
         with pytest.raises(LightError, match=r"no light.*'panel'"):
             read(lit=[panel], needed=True)
 
-    def test_instances_are_where_they_stand(self):
+    def test_instances_have_their_places(self):
         collection = bpy.data.collections.new("panels")
         panel = add_panel(z=0.0)
         collection.objects.link(panel)
@@ -166,15 +166,15 @@ class TestMeshes:
             pytest.approx((2, 0, 3)),
         ]
 
-    def test_a_bulb_is_named(self):
-        notes, bulb = [], scenery.add_ball("bulb", 0.05, material=shining())
+    def test_a_bulb_gives_a_note(self):
+        notes, bulb = [], scenery.add_ball("bulb", 0.05, material=emissive())
         bulb.location = (0, 0, 4)
         (light,) = read(notes)
         assert light.power == pytest.approx(4 * np.pi * 5 * np.pi * 0.05**2, rel=0.05)
         assert len(notes) == 1
         assert "'bulb'" in notes[0]
 
-    def test_there_are_never_more_than_that_many(self):
+    def test_the_number_of_lamps_is_limited(self):
         notes = []
         for x in range(MOST + 4):
             add_panel().location = (x, 0, 1)
@@ -184,7 +184,7 @@ class TestMeshes:
 
 
 def grid_of(place, count, close=False):
-    """Triangles (n, 3, 3) of the surface place(u, v), with u and v from 0 to 1."""
+    """Triangles (n, 3, 3) of the surface place(u, v), for u and v from 0 to 1."""
     ticks = np.linspace(0, 1, count + 1)
     points = np.stack(place(*np.meshgrid(ticks, ticks, indexing="ij")), axis=-1)
     a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
@@ -251,14 +251,14 @@ def quartered(triangles):
 
 
 def fluence_of_triangles(triangles, both, places):
-    """(n,) over their radiance, at places (n, 3): of fronts, or of both sides, unoccluded."""
+    """(n,) at places (n, 3), divided by radiance, of fronts or both sides, without occlusion."""
     while len(triangles) < 1000:
         triangles = quartered(triangles)
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
-    away = places[:, None] - triangles.mean(axis=1)
-    along = np.einsum("pti,ti->pt", away, normal)
-    along = np.abs(along) if both else np.maximum(along, 0)
-    return (along / np.linalg.norm(away, axis=2) ** 3).sum(axis=1)
+    offsets = places[:, None] - triangles.mean(axis=1)
+    ahead = np.einsum("pti,ti->pt", offsets, normal)
+    ahead = np.abs(ahead) if both else np.maximum(ahead, 0)
+    return (ahead / np.linalg.norm(offsets, axis=2) ** 3).sum(axis=1)
 
 
 def fluence_of(lights, places):
@@ -266,25 +266,25 @@ def fluence_of(lights, places):
     total = np.zeros(len(places))
     for light in lights:
         if isinstance(light, PointLight):
-            away = np.linalg.norm(places - light.position, axis=1)
-            total += light.power / (4 * np.pi * away**2)
+            distance = np.linalg.norm(places - light.position, axis=1)
+            total += light.power / (4 * np.pi * distance**2)
             continue
         s, t = (np.indices((24, 24)).reshape(2, -1) + 0.5) / 24 - 0.5
         inside = s**2 + t**2 < 0.25 if light.ellipse else np.full(len(s), True)
         points = np.outer(s, light.u) + np.outer(t, light.v) + light.center
         normal = np.cross(light.u, light.v)
-        away = places[:, None] - points[inside]
-        cosine = np.maximum(away @ normal, 0) / np.linalg.norm(normal)
-        share = (cosine / np.linalg.norm(away, axis=2) ** 3).mean(axis=1)
+        offsets = places[:, None] - points[inside]
+        cosine = np.maximum(offsets @ normal, 0) / np.linalg.norm(normal)
+        share = (cosine / np.linalg.norm(offsets, axis=2) ** 3).mean(axis=1)
         total += light.power / np.pi * share
     return total
 
 
 class TestShapes:
-    """The fluence in the box, against that of their triangles one by one."""
+    """The fluence in the box, compared with the sum over all triangles."""
 
     @pytest.mark.parametrize(
-        ("triangles", "closed", "off"),
+        ("triangles", "closed", "tolerance"),
         [
             pytest.param(sphere_of(0.05, (0, 0, 3)), True, 0.01, id="bulb far away"),
             pytest.param(sphere_of(0.1, (0.1, 0.2, 2)), True, 0.05, id="bulb close by"),
@@ -298,7 +298,7 @@ class TestShapes:
             pytest.param(sphere_of(6, (0, 0, 0)), True, 0.06, id="dome around"),
         ],
     )
-    def test_light(self, triangles, closed, off, request):
+    def test_light(self, triangles, closed, tolerance, request):
         count = len(triangles)
         around = np.abs(triangles).max() > 5
         emitter = Emitter(
@@ -309,8 +309,8 @@ class TestShapes:
         if "bulb" in request.node.name:
             assert len(shining.lights) == 1
         places = np.random.default_rng(0).uniform(-1, 1, (100, 3))
-        seen = triangles[:, ::-1] if around else triangles
-        expected = fluence_of_triangles(seen, not closed, places)
-        found = fluence_of(shining.lights, places)
-        assert found.mean() == pytest.approx(expected.mean(), rel=off)
-        assert found == pytest.approx(expected, rel=4 * off)
+        facing = triangles[:, ::-1] if around else triangles
+        expected = fluence_of_triangles(facing, not closed, places)
+        fluence = fluence_of(shining.lights, places)
+        assert fluence.mean() == pytest.approx(expected.mean(), rel=tolerance)
+        assert fluence == pytest.approx(expected, rel=4 * tolerance)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Node trees as Cycles reads them, which renders the same trees to judge that."""
+"""Node trees, checked against Cycles' pictures of the same trees."""
 
 import bpy
 import numpy as np
@@ -7,9 +7,9 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene.materials import Leaf, has_surface, has_volume, leaf_optics, volume_optics
+from lb_lighting.scene.nodes.arithmetic import Scaled
 from lb_lighting.scene.nodes.attributes import object_attributes
 from lb_lighting.scene.nodes.shaders import Shader
-from lb_lighting.scene.nodes.values import Scaled
 from tests import scenery
 from tests.scene.trees import (
     add_node,
@@ -58,7 +58,7 @@ def emission(tree, shade=(1, 1, 1), strength=1.0):
 
 
 def shine(material, attributes=None):
-    """(3,): what the emission of a surface comes to, as it is read."""
+    """(3,): the emission of a surface as LB Lighting reads it."""
     shader = Shader(material, attributes=attributes)
     return sum(
         (
@@ -70,7 +70,7 @@ def shine(material, attributes=None):
 
 
 def rendered(material, render):
-    """(3,): what Cycles shows of a cube of it."""
+    """(3,): the colour of a cube with the material in Cycles."""
     bpy.ops.mesh.primitive_cube_add(size=1)
     bpy.context.object.data.materials.append(material)
     bpy.context.scene.cycles.samples = 1
@@ -89,7 +89,7 @@ def group_around_nothing(tree):
     return make_group(tree, "Color")[0].outputs[0]
 
 
-def group_with_an_own_color(tree):
+def group_with_a_default_color(tree):
     node, inside = make_group(tree, "Color")
     inside.nodes.new("NodeGroupOutput").inputs[0].default_value = (*BLUE, 1)
     return node.outputs[0]
@@ -124,7 +124,7 @@ def color_through_a_group_of_numbers(tree):
     return node.outputs[0]
 
 
-COLORS = {  # what feeds a colour that is red by itself
+COLORS = {  # what is linked to a colour input that is red
     "a muted colour": lambda tree: muted(tree, "ShaderNodeRGB"),
     "a muted mix of nothing": lambda tree: muted(tree, MIX, data_type="RGBA"),
     "a muted mix of one colour": lambda tree: muted(
@@ -136,7 +136,7 @@ COLORS = {  # what feeds a colour that is red by itself
     "a mix of two colours": lambda tree: computed(
         tree, MIX, 0.25, (*BLUE, 1), color(tree, GREEN), data_type="RGBA"
     ),
-    "a mix that only takes one": lambda tree: computed(
+    "a mix with a factor of 1": lambda tree: computed(
         tree, MIX, 1.0, color(tree, RED), color(tree, BLUE), data_type="RGBA"
     ),
     "colours multiplied": lambda tree: computed(
@@ -147,17 +147,17 @@ COLORS = {  # what feeds a colour that is red by itself
     ),
     "a muted group": muted_group,
     "a group without an output": group_around_nothing,
-    "a group with a colour of its own": group_with_an_own_color,
+    "a group with a default colour": group_with_a_default_color,
     "a group around a muted node": group_around_a_muted_node,
     "a muted node before a group": muted_node_into_a_group,
     "a group with two outputs": group_with_two_outputs,
     "a colour through a group of numbers": color_through_a_group_of_numbers,
     "a closure": lambda tree: emission(tree),
 }
-STRENGTHS = {  # what feeds a strength that is 3 by itself
+STRENGTHS = {  # what is linked to a strength input that is 3
     "a muted attribute": lambda tree: muted(tree, "ShaderNodeAttribute", output=2),
     "a muted sum": lambda tree: muted(tree, MATH, 0.25, 0.5),
-    "a muted sum of what is linked": lambda tree: muted(tree, MATH, 0.25, number(tree, 0.6)),
+    "a muted sum of a linked number": lambda tree: muted(tree, MATH, 0.25, number(tree, 0.6)),
     "a reroute of nothing": lambda tree: reroute(tree),
     "a muted sum of a reroute of nothing": lambda tree: muted(tree, MATH, reroute(tree)),
     "a colour": lambda tree: color(tree, (0.8, 0.1, 0.1)),
@@ -170,11 +170,11 @@ STRENGTHS = {  # what feeds a strength that is 3 by itself
     ),
     "a difference": lambda tree: computed(tree, MATH, 3.0, 2.5, operation="SUBTRACT"),
     "a quotient": lambda tree: computed(tree, MATH, 3.0, 2.0, operation="DIVIDE"),
-    "a division by nothing": lambda tree: computed(tree, MATH, 3.0, 0.0, operation="DIVIDE"),
+    "a division by zero": lambda tree: computed(tree, MATH, 3.0, 0.0, operation="DIVIDE"),
     "the smaller": lambda tree: computed(tree, MATH, 3.0, 2.5, operation="MINIMUM"),
     "the larger": lambda tree: computed(tree, MATH, 0.3, 0.5, operation="MAXIMUM"),
     "a clamp": lambda tree: computed(tree, "ShaderNodeClamp", 3.0, 0.0, 2.0),
-    "a clamp by a range turned round": lambda tree: computed(
+    "a clamp with a reversed range": lambda tree: computed(
         tree, "ShaderNodeClamp", 3.0, 2.0, 1.0, clamp_type="RANGE"
     ),
     "a mix": lambda tree: computed(tree, MIX, 0.25, 1.0, 3.0),
@@ -214,7 +214,7 @@ def test_the_color_of_a_black_body_is_that_of_cycles(render):
     assert shine(material) == pytest.approx(rendered(material, render), abs=2e-3)
 
 
-def test_a_muted_link_brings_nothing(render):
+def test_muted_links_are_ignored(render):
     material = surface("ShaderNodeEmission", Color=RED)
     tree = material.node_tree
     link = tree.links.new(color(tree, BLUE), tree.nodes["Emission"].inputs["Color"])
@@ -224,9 +224,9 @@ def test_a_muted_link_brings_nothing(render):
 
 
 class TestAttributes:
-    """Of objects, of what instances them, and of view layers they are constants."""
+    """Attributes of objects, instancers and view layers are constants."""
 
-    def judged(self, kind, name, output, prepare, render):
+    def compared(self, kind, name, output, prepare, render):
         material = make_material()
         shader = emission(material.node_tree, attribute(material.node_tree, name, output, kind))
         connect(material, shader.node, "Surface")
@@ -235,9 +235,9 @@ class TestAttributes:
         ob.data.materials.append(material)
         prepare(ob)
         bpy.context.scene.cycles.samples = 1
-        found = object_attributes(ob, bpy.context.evaluated_depsgraph_get())
-        assert shine(material, found) == pytest.approx(render(), abs=1e-6)
-        return shine(material, found)
+        attributes = object_attributes(ob, bpy.context.evaluated_depsgraph_get())
+        assert shine(material, attributes) == pytest.approx(render(), abs=1e-6)
+        return shine(material, attributes)
 
     @pytest.mark.parametrize(
         ("value", "output", "expected"),
@@ -256,8 +256,8 @@ class TestAttributes:
         def prepare(ob):
             ob["heat"] = value
 
-        found = self.judged("OBJECT", "heat", output, prepare, render)
-        assert found == pytest.approx(np.broadcast_to(expected, 3))
+        emission = self.compared("OBJECT", "heat", output, prepare, render)
+        assert emission == pytest.approx(np.broadcast_to(expected, 3))
 
     @pytest.mark.parametrize(
         ("kind", "name", "output", "expected"),
@@ -282,10 +282,10 @@ class TestAttributes:
             bpy.context.scene["of the scene"] = 5.0
             bpy.context.scene.frame_set(7)
 
-        found = self.judged(kind, name, output, prepare, render)
-        assert found == pytest.approx(np.broadcast_to(expected, 3))
+        emission = self.compared(kind, name, output, prepare, render)
+        assert emission == pytest.approx(np.broadcast_to(expected, 3))
 
-    def test_of_an_object_that_is_not_known_are_refused(self):
+    def test_attributes_of_an_unknown_object_are_refused(self):
         material = make_material("leaf")
         tree = material.node_tree
         leaf = add_node(tree, "ShaderNodeBsdfDiffuse", Color=attribute(tree, "a", kind="OBJECT"))
@@ -318,7 +318,7 @@ def muted_emission(material):
     connect(material, shader, "Surface").node_tree.nodes[shader.name].mute = True
 
 
-def sum_with_a_muted_one(material):
+def sum_with_a_muted_emission(material):
     tree = material.node_tree
     one, other = emission(tree, BLUE).node, emission(tree, RED).node
     other.mute = True
@@ -337,7 +337,7 @@ def muted_mix_of(*linked):
     return build
 
 
-def mix_that_takes_one(material):
+def mix_with_a_factor_of_0(material):
     tree = material.node_tree
     noise = tree.nodes.new("ShaderNodeTexNoise").outputs[1]
     both = combine(tree, emission(tree, BLUE).node, emission(tree, noise).node, 0.0)
@@ -353,10 +353,10 @@ CLOSURES = {
     "an output for EEVEE": output_for_eevee,
     "an output in a group": output_in_a_group,
     "a muted emission": muted_emission,
-    "a sum with a muted one": sum_with_a_muted_one,
+    "a sum with a muted emission": sum_with_a_muted_emission,
     "a muted mix of both": muted_mix_of((1, BLUE), (2, RED)),
     "a muted mix of the second": muted_mix_of((2, BLUE)),
-    "a mix that takes one": mix_that_takes_one,
+    "a mix with a factor of 0": mix_with_a_factor_of_0,
     "an empty group": empty_group,
 }
 
@@ -368,7 +368,7 @@ def test_closures_are_those_of_cycles(build, render):
     assert shine(material) == pytest.approx(rendered(material, render), abs=1e-6)
 
 
-def test_a_muted_volume_is_none():
+def test_a_muted_volume_is_no_volume():
     material = volume("ShaderNodeVolumePrincipled")
     assert has_volume(material)
     material.node_tree.nodes["Principled Volume"].mute = True
@@ -382,11 +382,11 @@ def test_an_emission_of_strength_0_is_no_volume():
 
 
 class TestCircles:
-    """Cycles renders nothing of a tree with a circle of links, wherever that is."""
+    """Cycles renders nothing of a tree with a circle of links anywhere."""
 
     def circle(self, tree, kind="ShaderNodeMixShader"):
         first, second = tree.nodes.new(kind), tree.nodes.new(kind)
-        closing = 0 if kind == MATH else -1  # the last input of most operations is not in use
+        closing = 0 if kind == MATH else -1  # most operations do not use the last input
         tree.links.new(first.outputs[0], second.inputs[closing])
         tree.links.new(second.outputs[0], first.inputs[closing])
         return second
@@ -400,14 +400,14 @@ class TestCircles:
             shine(material)
         assert not has_surface(material)
 
-    def test_of_numbers_that_nothing_takes(self, render):
+    def test_of_numbers_that_are_not_used(self, render):
         material = surface("ShaderNodeEmission")
         self.circle(material.node_tree, MATH)
         assert rendered(material, render) == pytest.approx(0)
         with pytest.raises(SceneError, match="in a circle at the node 'Math"):
             shine(material)
 
-    def test_inside_of_a_group(self):
+    def test_inside_a_group(self):
         material = make_material("leaf")
         node, inside = make_group(material.node_tree, "Shader")
         end_group(inside, self.circle(inside).outputs[0])
@@ -415,7 +415,7 @@ class TestCircles:
             leaf_optics(connect(material, node, "Surface"))
         assert not has_surface(material)
 
-    def test_of_numbers_inside_of_a_group(self):
+    def test_of_numbers_inside_a_group(self):
         material = make_material("leaf")
         node, inside = make_group(material.node_tree, "Float")
         end_group(inside, self.circle(inside, MATH).outputs[0])
@@ -425,7 +425,7 @@ class TestCircles:
 
 
 class TestSize:
-    """What takes a time that doubles with each step would not end."""
+    """An algorithm whose time doubles with each node would not finish."""
 
     def test_mixes_that_share_what_they_mix(self):
         material = make_material()
@@ -446,7 +446,7 @@ class TestSize:
         shader = connect(material, emission(tree, strength=last).node, "Surface")
         assert shine(shader) == pytest.approx(np.ones(3))
 
-    def test_many_nodes_one_behind_the_other(self):
+    def test_long_chains(self):
         material = make_material()
         tree = material.node_tree
         last = add_node(tree, "ShaderNodeBsdfDiffuse", Color=BLUE)
@@ -477,14 +477,14 @@ class TestSize:
         node = material.node_tree.nodes.new("ShaderNodeGroup")
         node.node_tree = outer
         node.inputs[0].default_value = (*BLUE, 1)
-        found = leaf_optics(connect(material, node, "Surface"))
-        assert found.reflectance == pytest.approx(BLUE)
+        leaf = leaf_optics(connect(material, node, "Surface"))
+        assert leaf.reflectance == pytest.approx(BLUE)
 
 
-class TestRemains:
-    """Nodes of which something is missing end in no traceback."""
+class TestMissingParts:
+    """Nodes with missing parts cause no traceback."""
 
-    def test_node_of_an_add_on_that_is_gone(self):
+    def test_node_of_a_missing_add_on(self):
         class Rust(bpy.types.ShaderNodeCustomGroup):
             bl_idname, bl_label = "ShaderNodeRust", "Rust"
 
@@ -506,19 +506,19 @@ class TestRemains:
         connect(other, leaf, "Surface")
         assert leaf_optics(material).reflectance == RED
         bpy.utils.unregister_class(Rust)
-        with pytest.raises(SceneError, match="'metal' uses the node 'Rust', which cannot"):
+        with pytest.raises(SceneError, match="'metal' uses the node 'Rust', which is not"):
             leaf_optics(material)
         with pytest.raises(SceneError, match="'paint' takes a value from the node 'Rust'"):
             leaf_optics(other)
 
-    def test_group_that_is_gone(self):
+    def test_missing_group(self):
         material = make_material()
         node, inside = make_group(material.node_tree, "Shader")
         connect(material, node, "Surface")
         bpy.data.node_groups.remove(inside)
         assert leaf_optics(material) == Leaf((0, 0, 0), (0, 0, 0))
 
-    def test_group_input_outside_of_a_group(self):
+    def test_group_input_outside_a_group(self):
         material = make_material()
         tree = material.node_tree
         _node, inside = make_group(tree, "Color", ["Color"])
@@ -529,7 +529,7 @@ class TestRemains:
 
 
 class TestDensities:
-    """Numbers times an attribute, however they are written."""
+    """Numbers times an attribute, written with different nodes."""
 
     def density(self, build):
         material = make_material("fog")
@@ -587,9 +587,9 @@ def smoke(tree, output="Factor"):
     return attribute(tree, "density", output)
 
 
-DENSITIES = {  # of a grid of density 0.5
+DENSITIES = {  # with a grid of density 0.5
     "a product, clamped": lambda tree: times(tree, smoke(tree), 6.0, use_clamp=True),
-    "one that is not clamped yet": lambda tree: times(tree, smoke(tree), 1.5, use_clamp=True),
+    "a product below the clamp": lambda tree: times(tree, smoke(tree), 1.5, use_clamp=True),
     "clamped, then scaled": lambda tree: times(
         tree, times(tree, smoke(tree), 6.0, use_clamp=True), 0.7
     ),
@@ -607,8 +607,8 @@ DENSITIES = {  # of a grid of density 0.5
     "a quotient": lambda tree: computed(tree, MATH, smoke(tree), 0.4, operation="DIVIDE"),
     "the smaller": lambda tree: computed(tree, MATH, smoke(tree), 0.2, operation="MINIMUM"),
     "a clamp": lambda tree: computed(tree, "ShaderNodeClamp", smoke(tree), 0.0, 0.3),
-    "a mix of it": lambda tree: computed(tree, MIX, 1.0, 9.0, smoke(tree)),
-    "a mix of it and of nothing": lambda tree: computed(tree, MIX, 0.25, smoke(tree), 0.0),
+    "a mix with a factor of 1": lambda tree: computed(tree, MIX, 1.0, 9.0, smoke(tree)),
+    "a mix with zero": lambda tree: computed(tree, MIX, 0.25, smoke(tree), 0.0),
     "a color, scaled": lambda tree: computed(
         tree, "ShaderNodeVectorMath", smoke(tree, "Color"), 3.0, operation="SCALE"
     ),
@@ -621,7 +621,7 @@ DENSITIES = {  # of a grid of density 0.5
 
 @pytest.mark.parametrize("build", DENSITIES.values(), ids=DENSITIES)
 def test_densities_are_those_of_cycles(build, tmp_path, render):
-    """The world seen through a fog that nothing lights is e^-tau."""
+    """Through a fog without light, the world has a brightness of e^-tau."""
     material = make_material()
     absorption = add_node(material.node_tree, "ShaderNodeVolumeAbsorption", Color=(0.8, 0.8, 0.8))
     socket = build(material.node_tree)
@@ -633,8 +633,8 @@ def test_densities_are_those_of_cycles(build, tmp_path, render):
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1
     scene.cycles.samples, scene.cycles.volume_biased = 1, True
-    seen = -np.log(render()[0])
-    found = volume_optics(material)
-    density = Scaled(1.0, found.density_attribute, found.limit).of({"density": 0.5})
-    # It is 10 m deep, and half a voxel blurred at its border.
-    assert 10 * density * found.optics.sigma_a == pytest.approx(seen, rel=0.03, abs=1e-3)
+    depth = -np.log(render()[0])
+    fog = volume_optics(material)
+    density = Scaled(1.0, fog.density_attribute, fog.limit).of({"density": 0.5})
+    # The fog is 10 m deep, and its border is blurred by half a voxel.
+    assert 10 * density * fog.optics.sigma_a == pytest.approx(depth, rel=0.03, abs=1e-3)
