@@ -91,7 +91,7 @@ def trace(
 
     medium         `Medium` or `PerlinMedium`; outside is vacuum. Its emission is a light, too.
                    Its shift between bands is left to who knows all bands' absorbed light
-    lights         lights of `lights.py`, or anything with their `spectrum` and `emit`
+    lights         `Light`s: suns, skies, lamps
     photons        how many to trace for each band that differs from the others, shared out
                    among the lights by power
     sampler        one of free_path.SAMPLERS
