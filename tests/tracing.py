@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lb_lighting.transport import device
-from lb_lighting.transport.lights.base import by_band
+from lb_lighting.transport.lights.base import Light, by_band
 from tests.statistics import normal, sidak
 
 FALSE_ALARM = 1e-4
@@ -23,7 +23,7 @@ def name(found):
 
 
 @dataclass(frozen=True)
-class Beam:
+class Beam(Light):
     """Light that comes from a point: along `direction`, or `diffuse` about it, by the cosine.
 
     The photons are drawn one by one, and so are independent.

@@ -15,7 +15,6 @@ import openvdb
 from ..errors import OutputError
 from ..transport.box import Box
 from ..transport.lights.distant import Sun
-from ..transport.lights.lamps import BEAMS
 from ..transport.ordinates.quadrature import FACTORS
 from ..transport.ordinates.source_iteration import beside_beams, of_lobes, way_of
 
@@ -53,7 +52,7 @@ def volume_light(field, lights, mode, g=0.0):
     """
     if field.by_light is None:
         return (field.fluence + field.direct) / _SPHERE, {}, []
-    numbers = [n for n, light in enumerate(lights) if isinstance(light, BEAMS)]
+    numbers = [n for n, light in enumerate(lights) if light.is_beam]
     beams, grids = [lights[n] for n in numbers], []
     if mode == "REPLACE":
         grids.append((direct_grid, field.by_light[numbers]))

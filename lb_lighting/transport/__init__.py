@@ -16,6 +16,7 @@ from .field import (
     PhotonReport,
     Report,
 )
+from .lights.base import DistantLight, Light, LocalLight
 from .lights.distant import Sky, Sun
 from .lights.lamps import AreaLight, PointLight, SpotLight
 from .medium import (
@@ -44,12 +45,15 @@ __all__ = [
     "AreaLight",
     "Cancelled",
     "DeviceError",
+    "DistantLight",
     "Domain",
     "Field",
     "FreePathSampler",
     "Handed",
+    "Light",
     "LightError",
     "LightingError",
+    "LocalLight",
     "Medium",
     "MediumError",
     "Optics",

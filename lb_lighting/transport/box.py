@@ -47,7 +47,7 @@ class Box:
 
 def matter(medium, lights):
     """The `Box` of all that light may collide with, and of all that shines."""
-    shadows = [getattr(light, "shadow_density", None) for light in lights]
+    shadows = [light.shadow_density for light in lights]
     emission = None if medium.emission is None else medium.emission.sum(axis=0)
     grids = (medium.density, medium.occlusion, emission, *shadows)
     return Box.around([grid for grid in grids if grid is not None])

@@ -25,7 +25,6 @@ from .lattice.subdivision import divided, merged, wished_pieces
 from .lights.base import by_band, darkness
 from .lights.distant import Sky
 from .lights.emission import Emission
-from .lights.lamps import BEAMS
 from .lights.sampling import face_areas
 from .monitor import Monitor
 from .photons.trace import trace
@@ -106,15 +105,9 @@ def plan(shape, settings, device, bands, occluded, lights=4):
     return buffers, always + max(needs) - sum(buffers.values())
 
 
-def is_within(light, domain):
-    """Whether a light with a position stands in a `Domain`."""
-    place = np.asarray(light.position)
-    return bool(np.all((place >= domain.origin) & (place <= domain.upper)))
-
-
 def _refuse_unfit(medium, lights):
     for light in lights:
-        shadow = getattr(light, "shadow_density", None)
+        shadow = light.shadow_density
         if shadow is not None and shadow.shape != medium.shape:
             raise LightError(
                 f"The shadow density of a sun has shape {shadow.shape}; it must be that of the "
@@ -391,7 +384,7 @@ class _Work:
             for band, own in lit.items():
                 cast = rays.cast(band, medium.sigma_t[band], shadowed=False)
                 own.add_unscattered(number, cast)
-                if isinstance(rays.light, BEAMS):
+                if rays.light.is_beam:
                     ahead = self._cast_forward(rays, band, cast, shadowed=False)[0]
                     shade = ahead.shade.of
                     shade(own.forward[number])[...] += ahead.over(cast)[0]
@@ -450,8 +443,7 @@ class _Work:
         medium, light = rays.medium, rays.light
         albedo, g = medium.albedo[band], medium.g[band]
         # A soft lamp dims what comes from it, not what goes on from a collision beside it.
-        soft = getattr(light, "radius", 0) > 0 and is_within(light, medium.domain)
-        forward = 0.0 if soft else max(g, 0.0) ** 2
+        forward = 0.0 if light.is_soft_within(medium.domain) else max(g, 0.0) ** 2
         cast = unscattered
         if forward > 0 or cast is None:
             less = medium.sigma_t[band] - forward * medium.sigma_s[band]

@@ -15,8 +15,7 @@ from .medium import merged
 
 def coarse(light, pieces):
     """A light for a medium whose voxels are merged."""
-    shadow = getattr(light, "shadow_density", None)
-    return light if shadow is None else replace(light, shadow_density=merged(shadow, pieces))
+    return light.with_shadow_density(lambda density: merged(density, pieces))
 
 
 def put_together(unscattered, scattered, pieces):

@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from lb_lighting.transport import Medium, Sun, device
+from lb_lighting.transport import Light, Medium, Sun, device
 from lb_lighting.transport.photons.free_path import SAMPLERS
 from lb_lighting.transport.photons.trace import trace
 from tests.benchmarks.table import publish
@@ -31,7 +31,7 @@ BLOCK = 16  # voxels along an edge over which fluence is averaged, to be compare
 MOST_BEYOND_NOISE = 1.5
 
 
-class Pencil:
+class Pencil(Light):
     """A beam of 1 W along +z into the middle of the face z = 0."""
 
     spectrum = 1.0

@@ -11,7 +11,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from lb_lighting.transport import Medium
+from lb_lighting.transport import Light, Medium
 from lb_lighting.transport.photons.trace import trace
 from tests.setup import peers
 
@@ -38,7 +38,7 @@ def blobs():
     return density / density.mean()
 
 
-class Pixel:
+class Pixel(Light):
     """The rays of a pixel as a light of 1 W: evenly from a parallelogram, all along DIRECTION."""
 
     spectrum = 1.0

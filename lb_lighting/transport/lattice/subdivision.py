@@ -41,8 +41,7 @@ def wished_pieces(medium):
 
 def divided(light, pieces):
     """A light for a medium of which each voxel is divided."""
-    shadow = getattr(light, "shadow_density", None)
-    return light if shadow is None else replace(light, shadow_density=repeated(shadow, pieces))
+    return light.with_shadow_density(lambda density: repeated(density, pieces))
 
 
 def merged(field, pieces):

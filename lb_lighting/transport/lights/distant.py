@@ -2,7 +2,7 @@
 """Light from far away: suns and skies."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import LightError
 from ..medium import LARGEST
 from .base import (
+    DistantLight,
     by_band,
     check_direction,
     check_energy,
@@ -40,7 +41,7 @@ _SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 
 
 @dataclass(frozen=True)
-class Sun:
+class Sun(DistantLight):
     """Parallel light from far away.
 
     direction   (3,), the way the light travels; any length but 0
@@ -50,6 +51,8 @@ class Sun:
                 stop more than that of a sun above them, and less of one at the horizon. Photons
                 do not know of it: where light is traced, the medium's own density counts
     """
+
+    is_beam = True
 
     direction: tuple
     irradiance: tuple | float
@@ -85,9 +88,15 @@ class Sun:
         toward = np.divide([self.direction], np.linalg.norm(self.direction))
         return toward, by_band(self.irradiance, medium.bands)[[band]], per_edge
 
+    def with_shadow_density(self, change):
+        """As of `Light`."""
+        if self.shadow_density is None:
+            return self
+        return replace(self, shadow_density=change(self.shadow_density))
+
 
 @dataclass(frozen=True)
-class Sky:
+class Sky(DistantLight):
     """Light from everywhere outside.
 
     radiance  W/(m^2 sr), scalar or (bands,), or a function that takes the unit vector (3,)

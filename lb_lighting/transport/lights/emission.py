@@ -4,6 +4,7 @@
 import numpy as np
 
 from ...errors import LightError
+from .base import DistantLight
 from .distant import Sky
 from .sampling import (
     intervals,
@@ -13,7 +14,7 @@ from .sampling import (
 )
 
 
-class Emission:
+class Emission(DistantLight):
     """The light of the medium itself, the same in all directions; emit takes that same medium.
 
     medium  one with an `emission`, (bands, nx, ny, nz) W/m^3
@@ -22,13 +23,18 @@ class Emission:
     def __init__(self, medium):
         if medium.emission is None:
             raise LightError("The medium emits no light; give it an emission.")
-        self.spectrum = medium.emission
+        self._emission = medium.emission
         self._edges = {}  # by band: finding them takes as long as many photons
+
+    @property
+    def spectrum(self):
+        """The emission of the medium, (bands, nx, ny, nz) W/m^3."""
+        return self._emission
 
     def emit(self, count, medium, rng, band):
         """Photons from the voxels in proportion to their emission, all of the same power."""
         if band not in self._edges:
-            self._edges[band] = intervals(self.spectrum[band].ravel())
+            self._edges[band] = intervals(self._emission[band].ravel())
         edges = self._edges[band]
         voxel, y, z, tilt, turn = strata(count, 5, rng)
         voxel, x = pick(edges, voxel)

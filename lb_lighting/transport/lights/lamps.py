@@ -8,12 +8,12 @@ import numpy as np
 
 from ...errors import LightError
 from .base import (
+    LocalLight,
     by_band,
     check_direction,
     check_energy,
     check_place,
 )
-from .distant import Sun
 from .sampling import (
     GOLDEN,
     even_directions,
@@ -36,7 +36,7 @@ _NEAR, _FINE, _POINT_CORE = 4, 8, 0.25
 _NO_SLATS = np.pi / 2 - 1e-4  # rad, half the spread from which an area light has no grid
 
 
-class _AtPoint:
+class _AtPoint(LocalLight):
     """What lights at a `position` share: photons and rays into the cone that counts.
 
     Such a light has a `power`, and says by `_relative` how strong it is in directions (n, 3), over
@@ -47,6 +47,7 @@ class _AtPoint:
     what share of them counts.
     """
 
+    is_beam = True
     _strongest = 1.0
 
     @property
@@ -130,9 +131,19 @@ class _AtPoint:
         """(nx, ny, nz): the light in each voxel over that of a point; None for a point."""
         if self.radius == 0:
             return None
-        point = replace(self, radius=0.0)
+        point = self.hardened()
         core = _POINT_CORE * domain.voxel_size
         return self.mean_falloff(domain) / point.mean_falloff(domain, core)
+
+    def is_soft_within(self, domain):
+        """Whether the light has a radius and stands in the domain."""
+        place = np.asarray(self.position)
+        within = np.all((place >= domain.origin) & (place <= domain.upper))
+        return bool(self.radius > 0 and within)
+
+    def hardened(self):
+        """The same light from a point."""
+        return replace(self, radius=0.0)
 
 
 @dataclass(frozen=True)
@@ -197,7 +208,7 @@ class SpotLight(_AtPoint):
 
 
 @dataclass(frozen=True)
-class AreaLight:
+class AreaLight(LocalLight):
     """Light from one side of a flat rectangle or ellipse, by the cosine (Lambert).
 
     center   (3,) m
@@ -300,6 +311,3 @@ class AreaLight:
     def _strongest(self):
         half = min(self.spread, np.pi) / 2
         return 4.0 if half > _NO_SLATS else 4 * np.tan(half) / (np.tan(half) - half)
-
-
-BEAMS = Sun, PointLight, SpotLight  # lights whose unscattered light comes from one direction

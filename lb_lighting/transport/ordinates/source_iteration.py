@@ -22,7 +22,6 @@ from ..box import Box
 from ..field import Scattered
 from ..lights.distant import Sun
 from ..lights.emission import Emission
-from ..lights.lamps import BEAMS
 from ..lights.sampling import rank_1, shift_of
 from ..medium import merged
 from ..monitor import Monitor
@@ -56,7 +55,7 @@ def is_worthwhile(medium, lights):
     """
     if medium.occlusion is not None or np.max(medium.g) < FORWARDS:
         return False
-    beams = any(isinstance(light, BEAMS) for light in lights)
+    beams = any(light.is_beam for light in lights)
     return bool(beams and _mean_depth(medium) <= THICKEST)
 
 
@@ -166,7 +165,7 @@ class _Ways:
     """Which lights are beams, and where they go in the voxels of a medium."""
 
     def __init__(self, medium, lights):
-        self.numbers = [n for n, light in enumerate(lights) if isinstance(light, BEAMS)]
+        self.numbers = [n for n, light in enumerate(lights) if light.is_beam]
         self.beams = [lights[n] for n in self.numbers]
         self.suns = [way_of(beam)[:, 0, 0, 0] for beam in self.beams if isinstance(beam, Sun)]
         self.domain = medium.domain

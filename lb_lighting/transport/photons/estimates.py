@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The light that photons scored, summed over all tracings into a `Field`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

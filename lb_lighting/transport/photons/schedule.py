@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which light and band each tracing is of, and how many photons it gets: in batches, by power."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...arrays import Floats
-from ..lights.base import darkness, multiple
+from ..lights.base import Light, darkness, multiple
 from ..lights.emission import Emission
 from ..medium import Medium
 from .perlin import PerlinMedium
-
-if TYPE_CHECKING:
-    from ..lights.base import Light
 
 # Batches have the same size, and their scatter gives the variance: that of 32 is known to a quarter
 # of itself. There are fewer where photons are so few that reading the voxels would take longer.

@@ -12,11 +12,8 @@ and reflects the share of its albedo by the cosine (Lambert), as scattered light
 hinder light that leaves it: where all is white, a voxel holds the share 1 - occlusion of the light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +23,7 @@ from .. import device as devices
 from ..backend import backend_of
 from ..device import Device
 from ..field import Clock, Field, PhotonReport
+from ..lights.base import Light
 from ..medium import Medium
 from ..monitor import Cancel, Monitor, Progress
 from . import tallies
@@ -35,9 +33,6 @@ from .path_grid import PathGrid, enter
 from .perlin import PerlinMedium
 from .schedule import AT_ONCE, COPIES, Run, batches_of, runs_of
 from .tallies import Opaque, Wanted
-
-if TYPE_CHECKING:
-    from ..lights.base import Light
 
 _CLOSEST = 0.01  # voxels between two scores; closer ones might not move on in float32
 _AT_BORDER = 1e-6  # voxels from the domain's face, where light from outside begins
@@ -67,7 +62,7 @@ def trace(
 
     medium         a vacuum lies outside of it. Its emission is one of the lights; its shift between
                    bands is left to the caller
-    lights         anything with the `spectrum` and `emit` of `Light`
+    lights         see `Light`
     photons        for each band that differs from the others; lights share them by their power
     sampler        one of free_path.SAMPLERS
     seed           0 to 2^32 - 1; on a given device, a seed always gives the same field

@@ -94,7 +94,9 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
     whole, medium = medium, _within(medium, box)
     pieces = ceil(max(medium.shape) / _EDGE)
     small = medium if pieces == 1 else medium.merged(pieces)
-    small_lights = [_as_a_point(coarse(_shaded_within(light, box), pieces)) for light in lights]
+    small_lights = [
+        coarse(light.with_shadow_density(box.of), pieces).hardened() for light in lights
+    ]
 
     def solved(**changes):
         plain = {"scattering": "multiple", "rays": 1.0, "merge": 1, "handover": 0.0}
@@ -147,11 +149,6 @@ def _within(medium, box):
     return medium.altered(origin=tuple(origin), **grids)
 
 
-def _shaded_within(light, box):
-    shadow = getattr(light, "shadow_density", None)
-    return light if shadow is None else replace(light, shadow_density=box.of(shadow))
-
-
 def _air(whole, box, lights):
     """How much more work unscattered light is in a domain than in a box (shapes) in it: rays of
     suns and skies begin and end there, those of lamps cross all of it."""
@@ -178,10 +175,6 @@ def _is_dark(medium):
     except MediumError:
         return True
     return False
-
-
-def _as_a_point(light):
-    return replace(light, radius=0.0) if getattr(light, "radius", 0) else light
 
 
 @dataclass

@@ -9,14 +9,11 @@ estimates of the solution of the transfer equation, in any density, and averagin
 kernels/preview/preview.cl follows the paths; `NumpyEye` is its twin.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from math import prod
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,7 +27,7 @@ from ...errors import (
 from .. import device as devices
 from ..backend import backend_of
 from ..device import Device
-from ..lights.base import by_band
+from ..lights.base import Light, by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
 from ..medium import Domain, Medium
@@ -38,9 +35,6 @@ from ..photons.free_path import path_grid, refuse_violations
 from ..photons.path_grid import PathGrid, enter
 from ..photons.perlin import PerlinMedium
 from ..photons.tallies import Opaque
-
-if TYPE_CHECKING:
-    from ..lights.base import Light
 
 _COARSEST = 8  # pixels between those that are sampled first
 _PIECE = 0.2  # s, the time that a piece of a picture should take

@@ -17,11 +17,7 @@ _USUAL, _AMONG_MANY, _OF_SKY = 6, 3, 4
 
 def parts(lights):
     """[(number of its light, light)]: skies divided in what is even and what is not."""
-    return [
-        (number, part)
-        for number, light in enumerate(lights)
-        for part in (light.parts() if isinstance(light, Sky) else [light])
-    ]
+    return [(number, part) for number, light in enumerate(lights) for part in light.parts()]
 
 
 class Rays:
@@ -57,9 +53,8 @@ class Rays:
     def _send(self, band, sigma_t, shadowed):
         medium, light = self.medium, self.light
         number, device, monitor = self.how
-        shadow = getattr(light, "shadow_density", None)
-        if shadow is not None and shadowed:
-            medium = medium.altered(density=shadow)
+        if light.shadow_density is not None and shadowed:
+            medium = medium.altered(density=light.shadow_density)
         usual = _USUAL if max(medium.shape) <= FEW_VOXELS else _AMONG_MANY
         if isinstance(light, (Sky, Emission)):
             usual = _OF_SKY

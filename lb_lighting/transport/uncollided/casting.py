@@ -15,6 +15,7 @@ import numpy as np
 from .. import device as devices
 from ..backend import backend_of
 from ..box import Box
+from ..lights.base import DistantLight
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
 from ..monitor import UNHEARD
@@ -34,9 +35,6 @@ from .sweep import (
 
 _AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
 _BEAMS_AT_ONCE = 8  # whose rays are in memory
-# Rays of a light that cannot say itself how many it needs: at most; and by per_edge^2 and faces of
-# voxels on half the border.
-_MOST, _FOR_ALL = 2**22, 4
 
 
 @dataclass
@@ -179,7 +177,7 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, monitor=UNHEARD
     """Send the unscattered light of one light and band through a medium.
 
     medium    a `Medium`
-    light     one of `lights.py`, or anything with their `spectrum` and `emit`
+    light     a `Light`
     sigma_t   extinction at density 1 to reckon with, 1/m
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
     per_edge  rays along a voxel's edge: see `rays` of each light
@@ -188,7 +186,7 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, monitor=UNHEARD
     Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
     """
     device, box = devices.choose(device), box or Box.all(medium.shape)
-    if hasattr(light, "suns"):
+    if isinstance(light, DistantLight):
         return _swept(medium, box, light, band, sigma_t, device, per_edge, monitor)
     return _marched(medium, box, light, band, sigma_t, device, per_edge, monitor)
 
@@ -209,7 +207,7 @@ def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
     """The `Cast` of what shines from a place: ray by ray."""
     everywhere = Box.all(medium.shape)
     march = backend_of(device).march(_voxels(medium, everywhere, band, sigma_t))
-    strongest, pieces = _rays(light, medium, band, per_edge)
+    strongest, pieces = light.rays(medium, band, per_edge)
     entered = 0.0
     for origins, directions, power in _gathered(pieces) if strongest > 0 else ():
         monitor.check()
@@ -224,7 +222,7 @@ def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
     position = box.of(tallies[POSITION])
     scores = _Scores(tallies[SCORE], position, tallies[DIRECTION], reflected, sums, everywhere)
     found = _cast(medium, box, sigma_t, strongest, scores, entered)
-    softness = light.softness(medium.domain) if hasattr(light, "softness") else None
+    softness = light.softness(medium.domain)
     return found if softness is None else _softened(found, box, softness.astype(np.float32))
 
 
@@ -280,17 +278,6 @@ def _voxels(medium, box, band, sigma_t, glow=None):
         occlusion = box.of(medium.occlusion)
         reflecting = occlusion * box.of(medium.occlusion_albedo[band])
     return Voxels(medium.depth(sigma_t, box), glow, occlusion, reflecting)
-
-
-def _rays(light, medium, band, per_edge):
-    """The rays of a light, as `rays` of `lights.py` returns them."""
-    if hasattr(light, "rays"):
-        return light.rays(medium, band, per_edge)
-    nx, ny, nz = medium.shape
-    count = min(_MOST, _FOR_ALL * per_edge**2 * (nx * ny + ny * nz + nz * nx))
-    rays = light.emit(count, medium, np.random.default_rng(0), band)
-    pieces = ([part[n : n + _AT_ONCE] for part in rays] for n in range(0, count, _AT_ONCE))
-    return float(rays[2].max()), pieces
 
 
 def _gathered(pieces):

@@ -15,7 +15,17 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import LightError
-from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun
+from lb_lighting.transport import (
+    AreaLight,
+    DistantLight,
+    Light,
+    LocalLight,
+    Medium,
+    PointLight,
+    Sky,
+    SpotLight,
+    Sun,
+)
 from lb_lighting.transport.lights.base import multiple
 from lb_lighting.transport.lights.emission import Emission
 from lb_lighting.transport.lights.sampling import face_areas, rank_1
@@ -616,8 +626,8 @@ def test_bands_that_are_multiples_are_known(lights, expected):
     assert found == (None if expected is None else pytest.approx(expected, rel=1e-6))
 
 
-LAMPS = {kind: light for kind, light in LIGHTS.items() if hasattr(light, "rays")}
-FAR = {kind: light for kind, light in LIGHTS.items() if hasattr(light, "suns")}
+LAMPS = {kind: light for kind, light in LIGHTS.items() if isinstance(light, LocalLight)}
+FAR = {kind: light for kind, light in LIGHTS.items() if isinstance(light, DistantLight)}
 
 
 def test_every_light_has_rays_or_suns():
@@ -662,3 +672,31 @@ def test_a_sun_sends_as_many_rays_into_each_column(per_edge):
     assert per_edge**2 <= count <= per_edge**2 + 5
     for along in places:
         assert np.sort(along) == pytest.approx((np.arange(count) + 0.5) / count)
+
+
+def test_a_light_without_spectrum_or_emit_is_refused():
+    with pytest.raises(TypeError, match="abstract"):
+        Light()
+
+
+@pytest.mark.parametrize("light", [Sun((0, 0, -1), 1.0), Sky(1.0), PointLight((0, 3, 4), 1.0)])
+def test_lights_without_radius_or_shadow_density_stay_as_they_are(light):
+    assert light.hardened() == light
+    assert light.with_shadow_density(lambda density: density + 1) == light
+    assert not light.is_soft_within(MEDIUM.domain)
+    assert light.softness(MEDIUM.domain) is None
+
+
+def test_a_lamp_with_a_radius_is_soft_where_it_stands():
+    inside = PointLight(tuple(LOWER + SIZE / 2), 1.0, radius=0.1)
+    outside = PointLight(tuple(LOWER - 1), 1.0, radius=0.1)
+    assert inside.is_soft_within(MEDIUM.domain)
+    assert not outside.is_soft_within(MEDIUM.domain)
+    assert inside.hardened() == PointLight(inside.position, 1.0)
+
+
+def test_the_shadow_density_of_a_sun_can_be_changed():
+    sun = Sun((0, 0, -1), 1.0, shadow_density=np.ones(SHAPE))
+    changed = sun.with_shadow_density(lambda density: density[:2])
+    assert changed == sun
+    assert changed.shadow_density.shape == (2, 6, 5)

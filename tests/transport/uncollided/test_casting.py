@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import Cancelled
-from lb_lighting.transport import AreaLight, Medium, PointLight, Sky, SpotLight, Sun, trace
+from lb_lighting.transport import AreaLight, Light, Medium, PointLight, Sky, SpotLight, Sun, trace
 from lb_lighting.transport.device import devices
 from lb_lighting.transport.lights.emission import Emission
 from lb_lighting.transport.monitor import Monitor
@@ -380,11 +380,18 @@ def test_a_cast_can_be_cancelled():
         cast(patchy(), SUN, 0, 1.0, per_edge=2, monitor=Monitor(cancel=lambda: True))
 
 
-class Followed:
+class Followed(Light):
     """A sun whose rays are followed one by one, from where its photons start."""
 
     def __init__(self, sun):
-        self.spectrum, self.emit = sun.spectrum, sun.emit
+        self.sun = sun
+
+    @property
+    def spectrum(self):
+        return self.sun.spectrum
+
+    def emit(self, count, medium, rng, band):
+        return self.sun.emit(count, medium, rng, band)
 
 
 @pytest.mark.parametrize("occluded", [False, True])
