@@ -74,7 +74,7 @@ class View:
         direction: Vector,
         up: Vector = (0, 0, 1),
         size: tuple[int, int] = (160, 120),
-    ) -> View:
+    ) -> "View":
         """All of a `Domain` without perspective, along `direction` (3,)."""
         back = -np.divide(direction, np.linalg.norm(direction))
         right = np.cross(up, back)
