@@ -1,67 +1,75 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A medium solved in few voxels, in several ways, to see what its solve will take and be worth.
+"""A medium solved in few voxels, in several ways, to predict the errors and times of its solve.
 
-Only the box that holds all matter is solved, and light counts by what is seen of it (`seen`): so
-empty air around a medium changes neither what is told nor how well.
+Only the box of all matter is solved, and light is weighted by its visibility (`visibility`), so
+that empty air around a medium changes neither the prediction nor its quality.
 
-Photons tell how wrong the lattice is: two sets of few are enough, as their noise is independent,
-and drops out of the product of both differences.
+Photons measure the error of the lattice. Two small sets suffice: their noise is independent, and
+drops out of the product of both differences.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, hypot, inf, prod, sqrt
 from time import perf_counter
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...arrays import Floats
 from ...errors import MediumError
 from .. import device as devices
-from ..box import matter
+from ..box import Box, matter
+from ..device import Device
+from ..field import Field
 from ..lattice.subdivision import wished_pieces
+from ..lights.base import Light
 from ..lights.distant import FEW_VOXELS, Sky, Sun
+from ..medium import Medium
+from ..monitor import Cancel
 from ..resample import coarse
-from ..solver import solve
+from ..solver import Settings, solve
 from .visibility import mean_share, size, weights
 
-MERGES = (1, 2, 4, 8)  # voxels along an edge that may be planned to be merged
+MERGES = (1, 2, 4, 8)  # voxels along an edge that a plan may merge
 _EDGE = 32  # voxels along the longest edge of the pilot
-_PHOTONS = (20_000, 60_000)  # the more tell what each takes
-_ALONE = 4  # times the second of these, where there is no lattice
-_PROBES = 500  # photons that tell how often light collides, where no lattice does
-_SHARP, _MORE = 0.02, 4  # targets up to this need so many times more to see the lattice's error
-_CLOSE = 0.10  # targets up to this are compared with photons; the others with what is usual:
-_USUAL = 0.065  # error of the lattice without photons, the most of docs/theory/physics.md
-_FAR = 300  # collisions of a photon from which on the pilot's are handed over
-_ROUGH, _ROUGHEST = 0.5, 0.25  # rays where these are not what is looked at
-# What a pilot may take: collisions of photons (two cores do some 5 million a second), steps of a
-# voxel of the lattice (some 40 million), and pieces of a voxel's edge; and so many times more for
-# targets below _CLOSE.
+_PHOTONS = (20_000, 60_000)  # of two sets; the larger one measures the time of a photon
+_ALONE = 4  # the larger set is so many times larger where there is no lattice
+_PROBES = 500  # photons that count collisions where no lattice does
+_SHARP, _MORE = 0.02, 4  # targets up to the first take so many times more photons
+_CLOSE = 0.10  # targets up to this measure the lattice's error; the others assume the usual one:
+_USUAL = 0.065  # the largest error of the lattice without photons in docs/theory/physics.md
+_FAR = 300  # collisions of a photon beyond which the lattice takes over in the pilot, too
+_ROUGH, _ROUGHEST = 0.5, 0.25  # rays of solves that do not measure the error of rays
+# Limits of a pilot: collisions of photons (two cores do about 5 million a second), voxels of the
+# lattice times steps (about 40 million a second), and pieces of a voxel's edge. Targets below
+# _CLOSE may take _LONGER times as much.
 _COLLISIONS, _VOXEL_STEPS, _PIECES, _LONGER = 6e6, 6e7, 2, 8
-_FEWEST_STEPS = 48
-EVENER = 1.3  # the power of rays along an edge that their error goes down with
+FEWEST_STEPS = 48
+EVENER = 1.3  # the error of rays is proportional to this power of 1 / (rays along an edge)
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What a solve in few voxels told. Errors are relative, of all light, as it is seen.
+    """The measurements of a solve in few voxels. Errors are relative, of all visible light.
 
     edge        voxels along the longest edge, of the box that holds all matter
-    share       of scattered light in all light
-    mean        the same in the mean: by how much a picture is darker without it
-    once        s, of unscattered light alone, with all else that a solve takes
-    sampling    error of the usual number of rays; 0 where unscattered light is not shown
-    error       of the lattice alone; infinite where it cannot be
-    merging     what merging by 2 changes; infinite where it cannot be
-    rays        s, of rays and all but the lattice where there is one
-    solve       s, of the lattice, at `steps`
-    steps       at `edge`, and at half of it
-    trace       s a photon that is traced to a handover of `traced`
+    share       share of scattered light in all light
+    mean        the same in the mean: how much darker a picture is without it
+    once        s, a solve of uncollided light alone
+    sampling    error of the usual number of rays; 0 where uncollided light is not shown
+    error       of the lattice alone; infinite where it cannot be used
+    merging     change by merging 2 voxels along an edge; infinite where it cannot be done
+    rays        s, all but the lattice of a solve with one
+    solve       s, the lattice, for `steps`
+    steps       of the lattice at `edge`, and at half of it
+    trace       s for each photon that is traced to a handover of `traced`
     traced      that handover, in transport optical depths
-    noise       of one photon: of n it is the root of n less
-    collisions  of a photon, mean, till it is absorbed or leaves
-    pieces      {voxels merged along an edge: in how many pieces the lattice divides them}; at 0
-                in how many it divided the pilot's
-    air         the work of unscattered light in the whole domain, over that in the box
+    noise       of one photon; that of n is smaller by the square root of n
+    collisions  mean number of a photon's collisions until it is absorbed or leaves
+    pieces      {voxels merged along an edge: pieces that the lattice divides them into}; at 0 the
+                pieces of the pilot's voxels
+    air         work of uncollided light in the whole domain, relative to that in the box
     """
 
     edge: int
@@ -73,22 +81,32 @@ class Pilot:
     merging: float = inf
     rays: float = 0.0
     solve: float = 0.0
-    steps: tuple = (0, 0)
+    steps: tuple[int, int] = (0, 0)
     trace: float = 0.0
     traced: float = inf
     noise: float = 0.0
     collisions: float = 0.0
-    pieces: dict = field(default_factory=dict)
+    pieces: dict[int, int] = field(default_factory=dict)
     air: float = 1.0
 
 
-def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None, scattered=False):
-    """The `Pilot` of a medium.
+def fly(
+    medium: Medium,
+    lights: Sequence[Light],
+    settings: Settings,
+    target: float,
+    device: Device | str | None = None,
+    cancel: Cancel | None = None,
+    *,
+    thin: float | None = None,
+    scattered: bool = False,
+) -> Pilot:
+    """Measure the `Pilot` of a medium.
 
-    settings  `Settings`: its model, and the tolerance
-    target    relative error that is asked for
-    thin      the share of scattered light where that needs no lattice to be known, or None
-    The others are those of `planner.plan`. Raises what `solve` raises.
+    settings  its model and tolerance count
+    target    relative error of the plan
+    thin      share of scattered light if it is known and small; None to measure it
+    The other arguments are those of `planner.plan`. Raises what `solve` raises.
     """
     box = matter(medium, lights)
     whole, medium = medium, _within(medium, box)
@@ -98,12 +116,13 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
         coarse(light.with_shadow_density(box.of), pieces).hardened() for light in lights
     ]
 
-    def solved(**changes):
-        plain = {"scattering": "multiple", "rays": 1.0, "merge": 1, "handover": 0.0}
+    def solved(**changes: Any) -> Field:
+        plain: dict[str, Any] = {"scattering": "multiple", "rays": 1.0, "merge": 1, "handover": 0.0}
         changed = replace(settings, **plain | {"photons": None} | changes)
         return solve(small, small_lights, changed, device, cancel=cancel)
 
-    rough = solved(scattering="single", rays=_ROUGH)  # first: it makes programs ready
+    # Uncollided light. The rough solve comes first: it builds the programs.
+    rough = solved(scattering="single", rays=_ROUGH)
     start = perf_counter()
     single = solved(scattering="single")
     once = perf_counter() - start
@@ -111,36 +130,38 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
     light = size(single.direct, weight)
     sampling = _of_usual(size(single.direct - rough.direct, weight) / (light or 1.0))
     if max(whole.shape) > FEW_VOXELS >= max(medium.shape):
-        sampling *= 2**EVENER  # half of the rays along an edge are sent through so large a domain
+        sampling *= 2**EVENER  # large domains take half of the rays along an edge
     air = _air(whole.shape, medium.shape, lights)
     pilot = Pilot(max(small.shape), thin or 0.0, once, sampling=sampling, air=air)
     if thin is not None:
         return pilot
-    pieces = {merge: _pieces(medium.merged(merge), settings) for merge in MERGES}
-    pilot = replace(pilot, pieces={0: _pieces(small, settings), **pieces})
+
+    # Scattered light.
+    divided = {merge: _pieces(medium.merged(merge), settings) for merge in MERGES}
+    pilot = replace(pilot, pieces={0: _pieces(small, settings), **divided})
     is_slow = devices.choose(device).is_numpy
     flight = _Flight(small, weight, single, solved, target, _is_dark(medium), is_slow)
     pilot = flight.with_scattered(pilot)
     if scattered:
-        # What few rays do to scattered light is in the error of the lattice.
+        # The error of the lattice includes that of few rays.
         pilot = replace(pilot, sampling=0.0)
-    missing = (prod(whole.shape) / prod(medium.shape)) ** (2 / 3)  # photons that meet no matter
+    missing = (prod(whole.shape) / prod(medium.shape)) ** (2 / 3)  # most photons miss the box
     return replace(pilot, noise=pilot.noise * sqrt(missing), trace=pilot.trace / missing)
 
 
-def effort(rays):
-    """Seconds that rays take, over those of the usual number: few hardly fill a device (measured
-    in media of 32^3 voxels in a sky: .47 for half of them along an edge)."""
+def effort(rays: float) -> float:
+    """Time of rays, relative to the usual number. Few rays do not fill a device: measured in media
+    of 32^3 voxels under a sky, half of them along an edge take .47 of the time."""
     return rays**2 if rays >= 1 else 0.3 + 0.7 * rays**2
 
 
-def work_of_rays(edge):
-    """The work of rays, in units of one's way through a voxel; see `physical`."""
+def work_of_rays(edge: float) -> float:
+    """The work of rays, in units of one ray through one voxel; see `hybrid`."""
     return edge**3 * (4 if edge <= FEW_VOXELS else 1)
 
 
-def _within(medium, box):
-    """The medium in a `Box` of its voxels."""
+def _within(medium: Medium, box: Box) -> Medium:
+    """The part of a medium in a `Box` of its voxels."""
     if box.is_whole:
         return medium
     origin = np.add(medium.origin, np.multiply(box.lower, medium.voxel_size))
@@ -149,17 +170,17 @@ def _within(medium, box):
     return medium.altered(origin=tuple(origin), **grids)
 
 
-def _air(whole, box, lights):
-    """How much more work unscattered light is in a domain than in a box (shapes) in it: rays of
-    suns and skies begin and end there, those of lamps cross all of it."""
+def _air(whole: Sequence[int], box: Sequence[int], lights: Sequence[Light]) -> float:
+    """The work of uncollided light in a domain, relative to a box in it (shapes): rays of suns and
+    skies stay in the box, rays of lamps cross the whole domain."""
     work = [work_of_rays(max(shape)) / max(shape) ** 3 for shape in (whole, box)]
     if all(isinstance(light, (Sun, Sky)) for light in lights):
         return work[0] / work[1]
     return prod(whole) * work[0] / (prod(box) * work[1])
 
 
-def _pieces(medium, settings):
-    """In how many pieces voxels are divided; in one where they are too dark for any number."""
+def _pieces(medium: Medium, settings: Settings) -> int:
+    """Pieces that voxels are divided into; 1 where they are too dark for any number."""
     if settings.divide:
         return settings.divide
     try:
@@ -168,8 +189,8 @@ def _pieces(medium, settings):
         return 1
 
 
-def _is_dark(medium):
-    """Whether voxels are too dark for the lattice, in however many pieces."""
+def _is_dark(medium: Medium) -> bool:
+    """Whether voxels are too dark for the lattice, whatever their division."""
     try:
         wished_pieces(medium)
     except MediumError:
@@ -177,43 +198,52 @@ def _is_dark(medium):
     return False
 
 
+class _Traced(NamedTuple):
+    """The `Field`s of a smaller and a larger set of photons, and their numbers of photons."""
+
+    few: Field
+    many: Field
+    counts: list[int]
+
+
 @dataclass
 class _Flight:
-    """Ways to solve a medium of few voxels.
+    """Solves a medium of few voxels in several ways.
 
-    weight   see `seen.weights`
-    single   the `Field` of unscattered light
-    solved   a function that solves the medium, and takes changes of `Settings`
+    weight   see `visibility.weights`
+    single   the `Field` of uncollided light
+    solved   solves the medium, with changes of `Settings`
     target   relative error
-    is_dark  whether the lattice cannot be used in the voxels that it is planned for either
-    is_slow  whether photons take many times as long as they do by OpenCL
+    is_dark  whether the lattice cannot be used in the voxels of the plan, either
+    is_slow  whether photons take many times as long as with OpenCL
     """
 
-    medium: object
-    weight: np.ndarray
-    single: object
-    solved: object
+    medium: Medium
+    weight: Floats
+    single: Field
+    solved: Callable[..., Field]
     target: float
     is_dark: bool
     is_slow: bool
 
     @property
-    def patience(self):
-        """How many times longer a pilot may take where the target is tight."""
+    def patience(self) -> int:
+        """How many times longer the pilot may take: more for a tight target."""
         return 1 if self.target >= _CLOSE else _LONGER
 
-    def with_scattered(self, pilot):
-        """The `Pilot` with all that scattered light tells."""
+    def with_scattered(self, pilot: Pilot) -> Pilot:
+        """The `Pilot` with all measurements of scattered light."""
         pieces = pilot.pieces[0]
         half = self._lattice(pieces, merge=2)
         start = perf_counter()
         whole = self._lattice(pieces)
         seconds = perf_counter() - start
-        few = many = None
+        traced: _Traced | None = None
         is_close = self.target < _CLOSE or (self.target == _CLOSE and not self.is_slow)
         if whole is None or is_close:
-            pilot, few, many, counts = self._traced(pilot, whole)
-        best = many if whole is None else whole
+            pilot, traced = self._traced(pilot, whole)
+        best = traced.many if whole is None and traced else whole
+        assert best is not None
         whole_light = best.fluence + self.single.direct
         light = size(whole_light, self.weight) or 1.0
         pilot = replace(
@@ -226,11 +256,11 @@ class _Flight:
             pilot = self._with_lattice(pilot, half, whole, seconds, light)
         elif not self.is_dark:
             pilot = self._with_finer_lattice(pilot)
-        return pilot if few is None else self._with_photons(pilot, whole, few, many, counts, light)
+        return self._with_photons(pilot, whole, traced, light) if traced else pilot
 
-    def _lattice(self, pieces, **changes):
-        """The `Field` of the lattice, stepped as far as a pilot may take; None where it cannot be
-        in the pilot's voxels, or would have to be divided in too many."""
+    def _lattice(self, pieces: int, **changes: Any) -> Field | None:
+        """The `Field` of the lattice within a pilot's steps; None where the pilot's voxels are too
+        dark for it, or would need too many pieces."""
         if pieces > _PIECES * (1 if self.patience == 1 else 2):
             return None
         try:
@@ -238,104 +268,107 @@ class _Flight:
         except MediumError:
             return None
 
-    def _most_steps(self, pieces):
+    def _most_steps(self, pieces: int) -> int:
         voxels = self.medium.density.size * pieces**3 * self._runs
-        return max(_FEWEST_STEPS, int(_VOXEL_STEPS * self.patience / voxels))
+        return max(FEWEST_STEPS, int(_VOXEL_STEPS * self.patience / voxels))
 
     @property
-    def _runs(self):
+    def _runs(self) -> int:
         return max(self.single.report.runs, 1)
 
-    def _traced(self, pilot, whole):
-        """(the `Pilot` with how far photons went, the `Field`s of few and of many, their
-        numbers)."""
+    def _traced(self, pilot: Pilot, whole: Field | None) -> tuple[Pilot, _Traced]:
+        """(`Pilot` with the handover of its photons, two sets of them)."""
         probe = whole
-        if whole is None:
+        if probe is None:
             probe = self.solved(handover=inf, photons=_PROBES, rays=_ROUGHEST)
         collisions = self._collisions(probe)
-        # To their end, where that is not far: a lattice that takes over has an error, too.
+        # Photons go to their end if it is near: a lattice that takes over would add its own error.
         if whole is not None and whole.report.converged and collisions > _FAR:
             pilot = replace(pilot, traced=4.0)
-            of_one = 1 / (1 - float((self.medium.albedo * self.medium.g).max()))
-            collisions = min(collisions, 1 + 4.0 * of_one)
+            transport = 1 / (1 - float((self.medium.albedo * self.medium.g).max()))
+            collisions = min(collisions, 1 + 4.0 * transport)
         counts = [n * (_MORE if self.target <= _SHARP else 1) for n in _PHOTONS]
-        if whole is None:  # what they take counts, as nothing else is left
+        if whole is None:  # photons alone: their time has to be measured well
             counts[1] *= _ALONE
         allowed = _COLLISIONS * self.patience / (max(collisions, 1.0) * self._runs * sum(counts))
         counts = [
             round(max(_PROBES, counts[0] * min(allowed, 1.0)) * n / counts[0]) for n in counts
         ]
-        traced = {"handover": pilot.traced, "rays": _ROUGHEST}
-        traced["most_steps"] = self._most_steps(pilot.pieces[0])
+        changes: dict[str, Any] = {"handover": pilot.traced, "rays": _ROUGHEST}
+        changes["most_steps"] = self._most_steps(pilot.pieces[0])
         few, many = (
-            self.solved(seed=seed, photons=count, **traced) for seed, count in enumerate(counts)
+            self.solved(seed=seed, photons=count, **changes) for seed, count in enumerate(counts)
         )
-        return pilot, few, many, counts
+        return pilot, _Traced(few, many, counts)
 
-    def _with_lattice(self, pilot, half, whole, seconds, light):
-        """The `Pilot` with what the lattice takes, and what merging its voxels costs.
+    def _with_lattice(
+        self, pilot: Pilot, half: Field | None, whole: Field, seconds: float, light: float
+    ) -> Pilot:
+        """The `Pilot` with the time of the lattice, and the error of merging its voxels.
 
-        half, whole  its `Field`s, the first in merged voxels, or None
-        seconds      that the whole one took
-        light        its size, which errors are relative to
+        half, whole  its `Field`s in merged voxels, or None, and in all voxels
+        seconds      that the second took
+        light        norm of all light, which errors are relative to
         """
         solving, casting = (whole.report.seconds.get(name, 0.0) for name in ("solve", "direct"))
         off = inf if half is None else size(whole.fluence - half.fluence, self.weight) / light
         return replace(
             pilot,
-            # Of what is still to come too, where it was not stepped to its end.
+            # Include what is left where it was not stepped to its end.
             error=hypot(_USUAL, 0.0 if whole.report.converged else whole.report.residual),
             merging=off,
             rays=seconds - solving - casting + casting / effort(_ROUGH),
             solve=solving,
-            steps=tuple(field.report.steps if field else 0 for field in (whole, half)),
+            steps=(whole.report.steps, half.report.steps if half else 0),
         )
 
-    def _with_finer_lattice(self, pilot):
-        """The `Pilot` where its voxels are too dark for the lattice, but not those that it is
-        planned for: it takes a few steps, to see how long that is."""
+    def _with_finer_lattice(self, pilot: Pilot) -> Pilot:
+        """The `Pilot` where its voxels are too dark for the lattice, but not those of the plan: it
+        takes a few steps to measure their time."""
         start = perf_counter()
-        tried = self.solved(divide=1, most_steps=_FEWEST_STEPS, rays=_ROUGH)
+        tried = self.solved(divide=1, most_steps=FEWEST_STEPS, rays=_ROUGH)
         solving = tried.report.seconds.get("solve", 0.0)
-        rest = perf_counter() - start - solving
+        others = perf_counter() - start - solving
         steps = tried.report.steps
         pieces = pilot.pieces | {0: 1}
         return replace(
-            pilot, error=_USUAL, rays=rest, solve=solving, steps=(steps, steps), pieces=pieces
+            pilot, error=_USUAL, rays=others, solve=solving, steps=(steps, steps), pieces=pieces
         )
 
-    def _with_photons(self, pilot, whole, few, many, counts, light):
-        """The `Pilot` with what two sets of photons tell, and how wrong the lattice is.
+    def _with_photons(
+        self, pilot: Pilot, whole: Field | None, traced: _Traced, light: float
+    ) -> Pilot:
+        """The `Pilot` with the noise and time of photons, and the measured error of the lattice.
 
-        counts  (2,) of photons
-        light   as above
+        light  as in `_with_lattice`
         """
-        # Of one photon, were it alone.
+        few, many, counts = traced
+        # The noise of a single photon.
         between = size(few.fluence - many.fluence, self.weight) / light
         noise = between / sqrt(sum(1 / count for count in counts))
         short, long = (field.report.seconds["trace"] for field in (few, many))
-        # There is much else that a trace takes time for.
+        # A trace takes time for much else, too.
         trace = max((long - short) / (counts[1] - counts[0]), long / counts[1] / 4)
         pilot = replace(pilot, noise=noise, trace=trace)
         if whole is None:
             return pilot
         one, other = ((whole.fluence - field.fluence).astype(float) for field in (few, many))
         squared = float(np.vdot(self.weight * one, other)) / light**2
-        # What noise leaves unknown of it, where that is even over the voxels.
-        seen = self.weight.sum() ** 2 / (np.vdot(self.weight, self.weight) or 1.0)
-        unknown = noise**2 / sqrt(counts[0] * counts[1] * max(seen, 1.0))
-        found = sqrt(max(squared, 0.0) + unknown)
-        # Where that is lost in noise it is taken to be no more than usual.
-        return replace(pilot, error=found if squared > 2 * unknown else min(found, pilot.error))
+        # The part of it that noise hides, if the noise is even over the voxels.
+        voxels = float(self.weight.sum() ** 2 / (np.vdot(self.weight, self.weight) or 1.0))
+        unknown = noise**2 / sqrt(counts[0] * counts[1] * max(voxels, 1.0))
+        error = sqrt(max(squared, 0.0) + unknown)
+        # Where noise hides it, assume no more than the usual error.
+        return replace(pilot, error=error if squared > 2 * unknown else min(error, pilot.error))
 
-    def _collisions(self, field):
-        """Mean number of a photon's collisions: what collides over what enters."""
+    def _collisions(self, field: Field) -> float:
+        """Mean number of a photon's collisions: power that collides over power that enters."""
         light = (field.fluence + self.single.direct).astype(float)
         colliding = self.medium.sigma_t[:, None, None, None] * self.medium.density * light
         entered = float(np.sum(field.report.energy["entered"])) or 1.0
         return float(colliding.sum()) * self.medium.voxel_size**3 / entered
 
 
-def _of_usual(change):
-    """The error of the usual number of rays, from what half of them change."""
-    return change / hypot(1, _ROUGH**-EVENER)
+def _of_usual(change: float) -> float:
+    """The error of the usual number of rays, from the change by half of them."""
+    return change / hypot(1.0, _ROUGH**-EVENER)

@@ -11,7 +11,8 @@ import pytest
 from lb_lighting.errors import Cancelled, DeviceError, LightError, SettingsError
 from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, hybrid, plan
 from lb_lighting.transport import solve as solve_medium
-from lb_lighting.transport.planning import planner, visibility
+from lb_lighting.transport.planning import expected, planner, visibility
+from lb_lighting.transport.planning.expected import Expectation
 from lb_lighting.transport.planning.pilot import Pilot, fly
 from lb_lighting.transport.planning.planner import TARGETS
 
@@ -50,7 +51,7 @@ def test_scattered_light_is_no_more_than_was_foretold_of_thin_media(light, depth
     medium = cube(depth=depth, albedo=1.0)
     field = solve_medium(medium, [light])
     share = np.linalg.norm(field.fluence) / np.linalg.norm(field.fluence + field.direct)
-    assert share <= planner._most_scattered(medium)
+    assert share <= planner._largest_share_of_scattered(medium)
 
 
 @pytest.mark.parametrize("place", [(0.75, 0.5, 0.2), (0.5, 0.45, 0.2)])
@@ -62,7 +63,7 @@ def test_that_holds_of_a_small_cloud_and_a_lamp_near_it_too(place):
     share = visibility.size(field.fluence, weight) / visibility.size(
         field.fluence + field.direct, weight
     )
-    assert 0.02 < share <= planner._most_scattered(medium)
+    assert 0.02 < share <= planner._largest_share_of_scattered(medium)
 
 
 def test_dark_media_start_no_lattice():
@@ -113,7 +114,7 @@ def test_noise_is_foretold():
     settings = Settings(handover=inf, photons=100_000)
     first, second = (solve_medium(medium, [SUN], replace(settings, seed=s)) for s in (7, 8))
     found = error(first, second) / np.sqrt(2)
-    _, foretold = planner._expected_error(settings, pilot, medium, 20, 0.05)
+    _, foretold = Expectation(pilot, medium, 20, 0.05).error(settings)
     assert foretold == pytest.approx(found, rel=0.15)
 
 
@@ -200,7 +201,7 @@ def test_what_is_too_slow_in_any_way_is_told(monkeypatch):
     chosen = plan(cube(), [SUN], "draft")
     assert not chosen.keeps_to_budget
     assert f"about {chosen.seconds:.0f} s" in chosen.reasons[-1]
-    assert "Draft is meant to end within 20 s" in chosen.reasons[-1]
+    assert "Draft aims to finish within 20 s" in chosen.reasons[-1]
 
 
 def test_a_draft_takes_no_more_steps_than_its_budget_has_the_time_for(monkeypatch):
@@ -265,18 +266,19 @@ def test_larger_domains_are_foretold_from_small_ones():
     """Work grows with voxels, and steps at most with their number along an edge."""
     pilot = Pilot(32, 0.9, 0.5, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
     medium = cube(4)
-    small, large = (planner._expected_seconds(Settings(), pilot, medium, n) for n in (32, 64))
-    fixed = planner._FIXED
+    of_small, of_large = (Expectation(pilot, medium, edge, 0.05) for edge in (32, 64))
+    small, large = (of.seconds(Settings()) for of in (of_small, of_large))
+    fixed = expected._FIXED
     assert small == 2 + fixed
     assert large == 8 / 4 + 8 + fixed
-    merged = planner._expected_seconds(Settings(merge=2), pilot, medium, 64)
+    merged = of_large.seconds(Settings(merge=2))
     assert merged == 8 / 4 / 2 + small
-    alone = planner._expected_seconds(Settings(scattering="single"), pilot, medium, 64)
+    alone = of_large.seconds(Settings(scattering="single"))
     assert alone == 8 / 4 / 2 + fixed / 2
-    twice = planner._expected_seconds(Settings(rays=2.0), pilot, medium, 64)
+    twice = of_large.seconds(Settings(rays=2.0))
     assert twice == 4 * 8 / 4 + 8 + fixed
     alone = replace(pilot, steps=(40, 0))  # too dark to be merged
-    assert planner._expected_seconds(Settings(), alone, medium, 64) == 8 / 4 + 16 + fixed
+    assert Expectation(alone, medium, 64, 0.05).seconds(Settings()) == 8 / 4 + 16 + fixed
 
 
 def test_photons_are_not_sent_by_soft_lamps_inside():
