@@ -17,7 +17,7 @@ from .backend import backend_of
 from .bands import runs_of, together
 from .box import matter
 from .field import Field, Report
-from .lattice.convergence import settle
+from .lattice.convergence import converge
 from .lattice.lattice_numpy import Source
 from .lattice.multigrid import Level
 from .lattice.streaming import stream_on
@@ -467,7 +467,7 @@ class _Work:
         lattice = level.lattice
         # In float32 light may be as dim or bright as the user likes only where it is near 1.
         lattice.start(handover.source(transport_depth, scale))
-        lit.residual, lit.steps, lit.corrections = settle(
+        lit.residual, lit.steps, lit.corrections = converge(
             level, self.settings.tolerance, self.settings.most_steps, self._tell_error
         )
         fluence = lattice.fluence().astype(float)

@@ -1,29 +1,29 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The physical lattice. transport/lattice/lattice_numpy.py is the twin and says what the quantities are,
-// lattice/layout.cl, which is built before this, where they lie.
+// The physical lattice. The twin, transport/lattice/lattice_numpy.py, defines the quantities;
+// lattice/layout.cl, which is built before this, defines their layout.
 //
-// The light is stepped in place. Before a step the light that has arrived at a cell along m lies in
-// the cell, under m; or it is `swapped` and lies in the cell that it came from, under the opposite
-// direction. `step_here` reads the first and leaves the second, `step_there` the other way round:
-// in both, a cell writes to the places that it alone has read.
+// Steps work in place. Before a step the light that has arrived at a cell along m lies in that cell,
+// under m; or it is `swapped` and lies in the cell that it came from, under the opposite direction.
+// `step_here` reads the first form and leaves the second, `step_there` the other way round: in both,
+// a cell writes only to places that it alone has read.
 //
-// Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
-// CROWDED, and with GROUP.
+// Built with the twin's constants W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
+// DIAGONAL_BLOCKING, and with GROUP.
 
-// Depths of voxels' edges; below zero outside of the domain, -1 - the share that comes back over
-// the most that may, REFLECTED.
+// Optical depths of voxels' edges. Outside of the domain they are -1 - the reflected share, relative
+// to REFLECTED.
 #define MEDIUM                                                                             \
     __global const float *depths, const float first, const float second, const float loss
 
-// Power and drift, one after the other.
+// The source: power, then drift.
 #define SOURCE __global const float *source, const ulong cells
 
 typedef struct {
-    float even, odd, absorbed; // shares that a step changes
-    float drifted, lingered;   // length of the voxel that counts, for the drift and the fluence
+    float even, odd, absorbed; // relaxation rates
+    float drifted, lingered;   // effective lengths of the voxel, for the drift and the fluence
 } Rates;
 
-// Of light that crosses `length` of a voxel.
+// The rates of light that crosses `length` of a voxel.
 static Rates rates(const float length, const float depth, const float first, const float second,
                    const float loss)
 {
@@ -42,7 +42,7 @@ static Rates rates(const float length, const float depth, const float first, con
 
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
-// The density that collisions lead to, of all light f, in isotropic light of weights w.
+// The density of the isotropic light, of weights w, that collisions of the light f relax to.
 static float isotropic(const float *f, const Rates axis, const Rates diagonal)
 {
     const float pull_axis = axis.even > 0.0f ? axis.even : 1.0f;
@@ -98,8 +98,8 @@ static float isotropic(const float *f, const Rates axis, const Rates diagonal)
         FOR_EACH_DIAGONAL(COLLIDE)                                                         \
     }
 
-// The two steps in place; those of the finest lattice take up the source, and those of coarser ones
-// what these are given in each direction.
+// The two steps in place. Those of the finest lattice add the source; those of coarser ones add the
+// restricted light of each direction.
 #define STEP_OF_SOURCE                                                                     \
     const size_t cell = get_global_id(0);                                                  \
     LOOK                                                                                   \
@@ -140,7 +140,7 @@ STEP_KERNEL step_there(GRID, MEDIUM, SOURCE, __global float *light)
     STEP_OF_SOURCE
 }
 
-// --- What comes back where a medium ends within the domain -------------------------------------
+// --- Reflection where a medium ends within the domain ------------------------------------------
 
 #define OUTWARD(m, back, cx, cy, cz)                                                       \
     {                                                                                      \
@@ -155,8 +155,8 @@ STEP_KERNEL step_there(GRID, MEDIUM, SOURCE, __global float *light)
         }                                                                                  \
     }
 
-// Of light that has just left empty cells in the five directions of a face. at  The cells;
-// faces  0 to 5 for -x, +x, -y, +y, -z, +z; shares  of it that go back.
+// Reflects light that has just left empty cells in the five directions of a face. at: the cells;
+// faces: 0 to 5 for -x, +x, -y, +y, -z, +z; shares: of the light that are reflected.
 __kernel void mirror(GRID, __global float *light, const int swapped, __global const int *at,
                      __global const int *faces, __global const float *shares)
 {
@@ -168,10 +168,10 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
     FOR_EACH_PAIR(OUTWARD)
 }
 
-// --- What opaque voxels do ---------------------------------------------------------------------
+// --- Opaque voxels ------------------------------------------------------------------------------
 
-// To light on its way along (cx, cy, cz) to a cell from the one upstream of it: what the two voxels
-// that a diagonal leads between stop, of which OF counts, none along axes; what is left, PAST.
+// For light on its way along (cx, cy, cz) to a cell from the one upstream: the share of OF that the two
+// voxels beside a diagonal stop, 0 along axes; and the share that passes, PAST.
 #define OPAQUE(cell) occlusion[cell]
 #define REFLECTING(cell) (occlusion[cell] * occlusion_albedo[cell])
 #define ABSORBING(cell) (occlusion[cell] * (1.0f - occlusion_albedo[cell]))
@@ -182,7 +182,7 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
 #define BESIDE(OF, to, cx, cy, cz)                                                         \
     (IS_DIAGONAL(cx, cy, cz)                                                               \
          ? MEAN_BESIDE(OF, to, cx, cy, cz) *                                               \
-               (1.0f + CROWDED * (1.0f - MEAN_BESIDE(OPAQUE, to, cx, cy, cz)))             \
+               (1.0f + DIAGONAL_BLOCKING * (1.0f - MEAN_BESIDE(OPAQUE, to, cx, cy, cz)))             \
          : 0.0f)
 #define PAST(to, cx, cy, cz) (1.0f - BESIDE(OPAQUE, to, cx, cy, cz))
 #define SHARE_OF(OF, to, cx, cy, cz)                                                       \
@@ -207,7 +207,7 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
     GATHER_ONE(m, back, cx, cy, cz)                                                        \
     GATHER_ONE(back, m, -(cx), -(cy), -(cz))
 
-// densities  in each of the cells `at`, of the isotropic light that goes back into it; reflected
+// densities: in each of the cells `at`, of the isotropic light that is reflected into it; reflected:
 // as of the twin's source
 __kernel void reflect(GRID, __global const float *light, const int swapped, OCCLUDERS,
                       __global const float *reflected, __global float *densities)
@@ -233,7 +233,7 @@ __kernel void reflect(GRID, __global const float *light, const int swapped, OCCL
     MEET_ONE(m, back, cx, cy, cz)                                                          \
     MEET_ONE(back, m, -(cx), -(cy), -(cz))
 
-// Of the light that has just left the cells `at`; stopped  what is absorbed of it.
+// Stops light that has just left the cells `at`. stopped: the light that is absorbed.
 __kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
                    __global const float *densities, __global float *stopped)
 {
@@ -249,8 +249,8 @@ __kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
     f[m] = ARRIVED(m, back, cell, STEP(cx, cy, cz));                                       \
     f[back] = ARRIVED(back, m, cell, -STEP(cx, cy, cz));
 
-// Of the voxel that a work-item of the range (nz, ny, nx) stands for, in every n-th layer;
-// `origin` is the first's cell.
+// The cell of the voxel of a work-item in the range (nz, ny, nx), in every n-th layer; `origin` is the
+// cell of the first voxel.
 #define LOOK_AT_VOXEL                                                                      \
     const size_t z = get_global_id(0), y = get_global_id(1), x = get_global_id(2);         \
     const size_t voxel = (x * get_global_size(1) + y) * get_global_size(0) + z;            \
@@ -298,7 +298,7 @@ __kernel void read_flux(GRID, __global const float *light, const int swapped, ME
     flux[2 * voxels + voxel] = jz;
 }
 
-// Light that has left the domain along m, by the first face of those that it passed.
+// Light that has left the domain along m, through the first face on its way.
 #define ADD_LEFT(m, back, cx, cy, cz)                                                      \
     if (at_end(cx, x, nx) || at_end(cy, y, ny) || at_end(cz, z, nz)) {                     \
         const size_t to = cell + STEP(cx, cy, cz);                                         \
@@ -319,7 +319,7 @@ static int at_end(const int c, const int place, const int count)
     return c < 0 ? place == 0 : c > 0 && place == count - 1;
 }
 
-// left  6 x nz: through the faces -x, +x, -y, +y, -z, +z; summed over x and y.
+// left: 6 x nz, through the faces -x, +x, -y, +y, -z, +z, summed over x and y.
 __kernel void read_left(GRID, __global const float *light, const int swapped,
                         __global const float *depths, const ulong origin, const int nx,
                         const int ny, __global float *left)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Where the light of the physical lattice lies: cell by cell (transport/lattice/layout.py), and that of
-// direction m `stride` floats behind that of m - 1, `guard` floats from the start.
+// The layout of the lattice's light: cell by cell (transport/lattice/layout.py); the light of direction
+// m begins `stride` floats after that of m - 1, and the first one `guard` floats from the start.
 
 #define DIAGONAL 1.41421356f
 #define DIRECTIONS 18
@@ -16,17 +16,17 @@
     DO(15, 16, 0, 1, -1)
 #define FOR_EACH_PAIR(DO) FOR_EACH_AXIS(DO) FOR_EACH_DIAGONAL(DO)
 
-// Cells from each to the next ones along z (1), y and x; floats from one direction's light to the
-// next one's, and before the first.
+// The steps in cells along z (1), y and x; the floats from one direction's light to the next, and those
+// before the first.
 #define GRID const ulong plane, const ulong row, const ulong stride, const ulong guard
 #define STEP(cx, cy, cz) ((cx)*plane + (cy)*row + (cz))
 
-// The light that has arrived at a cell along m, `step` cells from where it came.
+// The light that has arrived at a cell along m, from `step` cells away.
 #define HERE(m, cell) light[(m)*stride + guard + (cell)]
 #define ARRIVED(m, back, cell, step) HERE(swapped ? (back) : (m), swapped ? (cell) - (step) : (cell))
 
-// The light f of a step in place that finds it where it has arrived, and leaves it turned round;
-// and of one that finds it so, and leaves it where it arrives next.
+// The light f of a step in place: one reads light in the cell where it has arrived and leaves it
+// swapped, the other reads swapped light and leaves it where it arrives next.
 #define TAKE_HERE(m, back, cx, cy, cz)                                                     \
     f[m] = HERE(m, cell);                                                                  \
     f[back] = HERE(back, cell);

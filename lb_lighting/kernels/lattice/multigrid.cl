@@ -1,26 +1,26 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Between a lattice and a coarser one, of half its resolution: `hand_down` and `take_up` of the twin,
-// transport/lattice/lattice_numpy.py. Built behind lattice/layout.cl and lattice/lattice.cl.
+// Between a lattice and the coarser one of half its resolution: `restrict` and `prolongate` of the
+// twin, transport/lattice/lattice_numpy.py. Built after lattice/layout.cl and lattice/lattice.cl.
 //
-// Either way goes in two kernels, along z and across it, so that loads lie side by side; and by some
-// planes of the coarser lattice at a time, of which the first is `begin`, for what is kept between
-// the two to stay in caches. That is called parts; (18 or more) x planes x ny_2 x nz of it.
+// Both take two kernels, along z and across it, so that loads are contiguous. They work on some planes
+// of the coarser lattice at a time, from `begin` on, so that the buffer between the two kernels,
+// `parts`, stays in caches: (18 or more) x planes x ny_2 x nz.
 
 #define PLACE                                                                              \
     const size_t z = get_global_id(0), y = get_global_id(1), layer = get_global_id(2)
 
-// The light that has flowed on from a cell along m.
+// The light that has streamed from a cell along m.
 #define FLOWED(m, back, cell, step) HERE(swapped ? (back) : (m), swapped ? (cell) : (cell) + (step))
 
-// Odd parts over those of the light that flows through: (axes, diagonals).
+// Odd parts, relative to those of the light that crosses the voxel: (axes, diagonals).
 #define FLOWS(of, first, depth)                                                            \
     const float of##_axis = 1.0f + 0.5f * (first) * (depth),                               \
                 of##_diagonal = 1.0f + 0.5f * DIAGONAL * (first) * (depth);
 #define FLOW(of, cx, cy, cz) (IS_DIAGONAL(cx, cy, cz) ? of##_diagonal : of##_axis)
 
-// --- Down --------------------------------------------------------------------------------------
+// --- Restriction -------------------------------------------------------------------------------
 
-// One of four voxels side by side; edges of an odd number of voxels end in cells outside.
+// One of four adjacent voxels; edges of an odd number of voxels end in cells outside.
 #define CHILD(n, dx, dy)                                                                   \
     const size_t cell_##n = origin + STEP(2 * (begin + layer) + dx, 2 * y + dy, z);        \
     const float live_##n = depths[cell_##n] < 0.0f ? 0.0f : 1.0f;                          \
@@ -46,8 +46,8 @@
         parts[at + (back)*all] = odd;                                                      \
     }
 
-// Of the four: the even parts under m and the odd ones under back, then the power, and its moments
-// along x and y from their middle. origin  of the fine lattice
+// Sums over the four: the even parts under m and the odd ones under back, then the power, and its
+// moments along x and y from their middle. origin: of the fine lattice
 __kernel void sum_across(GRID, __global const float *light, const int swapped,
                          __global const float *depths, const ulong origin, const float first,
                          const ulong begin, __global float *parts)
@@ -77,8 +77,8 @@ __kernel void sum_across(GRID, __global const float *light, const int swapped,
         given[(back)*stride + guard + cell] += 0.25f * factor * (even - odd);              \
     }
 
-// given  what the coarser lattice, whose grid this is, is given: as its light
-__kernel void hand_down(GRID, __global const float *depths, const ulong origin, const float first,
+// given: the source of the coarser lattice, whose grid this is, laid out like its light
+__kernel void restrict_light(GRID, __global const float *depths, const ulong origin, const float first,
                         const ulong begin, const ulong nz, __global const float *parts,
                         const float factor, __global float *given)
 {
@@ -96,9 +96,9 @@ __kernel void hand_down(GRID, __global const float *depths, const ulong origin, 
     FOR_EACH_PAIR(GIVE)
 }
 
-// --- Up ----------------------------------------------------------------------------------------
+// --- Prolongation ------------------------------------------------------------------------------
 
-// Of voxels of half the size: the one that each lies in, and the next one on its side.
+// The coarse voxel around each fine one, and the nearest neighbour of that.
 #define NEARER(place) ((place) / 2)
 #define FARTHER(place) ((place) / 2 + ((place) % 2 ? 1 : -1))
 static size_t clamped(const long place, const ulong count)
@@ -116,8 +116,8 @@ static size_t clamped(const long place, const ulong count)
         parts[at + (back)*all] = 0.375f * (ahead_1 - behind_1) + 0.125f * (ahead_2 - behind_2); \
     }
 
-// The light of the voxels (nx, ny, nz) of the coarser lattice, whose grid this is, between them
-// along z: even parts under m, odd ones under back. From one plane before `begin`.
+// Interpolates the light of the voxels (nx, ny, nz) of the coarser lattice, whose grid this is, along z:
+// even parts under m, odd ones under back. Begins one plane before `begin`.
 __kernel void interpolate(GRID, __global const float *light, const int swapped, const ulong origin,
                           const ulong begin, const ulong nx, const ulong nz, __global float *parts)
 {
@@ -143,9 +143,9 @@ __kernel void interpolate(GRID, __global const float *light, const int swapped, 
         ARRIVED(back, m, cell, -STEP(cx, cy, cz)) += even - odd;                           \
     }
 
-// Adds a factor times that between them along x and y, too. Odd parts by the flow of the voxel that
-// each lies in: next to it there may be far thinner ones. layers  of parts
-__kernel void take_up(GRID, __global float *light, const int swapped, __global const float *depths,
+// Interpolates that along x and y, and adds it times a factor. Odd parts are scaled by the flow of the
+// coarse voxel around each: its neighbours may be far thinner. layers: of parts
+__kernel void prolongate(GRID, __global float *light, const int swapped, __global const float *depths,
                       const ulong origin, const float first, const ulong begin,
                       __global const float *depths_2, const ulong plane_2, const ulong row_2,
                       const ulong origin_2, const ulong ny_2, const ulong layers,

@@ -1,72 +1,84 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long a lattice is stepped, and when coarser ones are asked for help.
+"""When a lattice has converged, and when coarser lattices should correct it.
 
-Nobody knows the light that a lattice tends to, so the error is estimated from how fast changes
-shrink: by a factor q from one look to the next, so that all that are still to come add up to
-q / (1 - q) of the last. Corrections take away what would shrink slowly, and leave changes that tell
-nothing of it; what they leave is estimated in the same way, from one correction to the next.
+The limit of the iteration is unknown, so its error is estimated from the rate q at which the
+changes between checks shrink: all changes still to come add up to q / (1 - q) times the last one.
+A correction removes the part that would shrink slowly, and the changes after it carry no
+information about what it left; that is estimated in the same way, from one correction to the next.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-_LOOK_EVERY = 8  # steps between two looks
-_LAYERS, _FEW = 16, 48  # that are looked at, but all where there are few: a look costs half a step
-_RATES = 3  # rates of shrinking that are kept: the slowest counts
+from .multigrid import Level
+
+_CHECK_EVERY = 8  # steps between two checks
+_LAYERS, _FEW = 16, 48  # layers that a check reads; all, up to the second: it costs half a step
+_RATES = 3  # rates that are kept: the slowest counts
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
-_FAR = 60  # steps still to come from which on a correction, which costs some 24, is worth it
-_LEFT = 0.3  # of what a correction took away, at least: taken to be left; of the first one, twice
+_FAR = 60  # steps still to come from which a correction, which costs about 24, is worth it
+_LEFT = 0.3  # share of a correction that is assumed to be left, at least; of the first one, 0.5
 _USELESS = 0.6  # corrections that shrink no faster than this are not worth it
 
 
 @dataclass
-class _Look:
-    """What the looks at a lattice tell."""
+class ConvergenceMonitor:
+    """The changes of a lattice's fluence from check to check."""
 
-    lattice: object
-    light: object = 0.0
-    changes: list = field(default_factory=list)  # relative ones, since the last correction
+    lattice: Any
+    light: Any = 0.0
+    changes: list[float] = field(default_factory=list)  # relative, since the last correction
 
-    def change(self):
-        """The relative change of the fluence since the last look."""
+    def change(self) -> float:
+        """The relative change of the fluence since the last check."""
         layers = self.lattice.shape[0]
         every = 1 if layers < _FEW else layers // _LAYERS
         before, self.light = self.light, self.lattice.fluence(every)
         norm = float(np.linalg.norm(self.light))
         return float(np.linalg.norm(self.light - before)) / (norm or 1.0)
 
-    def start_again(self):
-        """The same, of light that something else than steps has changed."""
+    def restart(self) -> float:
+        """The same, after something else than steps has changed the light."""
         self.changes.clear()
         return self.change()
 
     @property
-    def rates(self):
+    def rates(self) -> list[float]:
+        """The last rates at which the changes shrink."""
         pairs = zip(self.changes, self.changes[1:], strict=False)
         return [min(change / last if last else 0.0, _NEVER) for last, change in pairs][-_RATES:]
 
-    def still_to_come(self, tolerance):
+    def remaining(self, tolerance: float) -> tuple[float, float]:
         """(relative change still to come by steps alone, steps until it is within a tolerance)."""
         rate = max(self.rates, default=_NEVER)
         left = min(1.0, self.changes[-1] * rate / (1 - rate))
         if left <= tolerance:
             return left, 0.0
-        return left, _LOOK_EVERY * np.log(left / tolerance) / -np.log(rate)
+        return left, _CHECK_EVERY * np.log(left / tolerance) / -np.log(rate)
 
 
 @dataclass
-class _Help:
-    """What corrections are worth."""
+class CorrectionPolicy:
+    """Whether corrections are worth their cost, from what earlier ones achieved.
 
-    wanted: bool
+    enabled  whether corrections are still useful
+    count    of corrections
+    size     relative change by the last one
+    left     relative error that is left where steps no longer show it
+    before   change by the steps before the last correction, until those after it are known
+    """
+
+    enabled: bool
     count: int = 0
-    size: float = 0.0  # the relative change by the last one
-    left: float = 0.0  # relative error that is left where steps no longer see it
-    before: float | None = None  # the change by the steps before it, until those after it are seen
+    size: float = 0.0
+    left: float = 0.0
+    before: float | None = None
 
-    def note(self, size, before):
-        """A correction of this size, and the change by the steps before it."""
+    def note(self, size: float, before: float) -> None:
+        """Take note of a correction of this size, and the change by the steps before it."""
         self.before = before
         kept = max(size / self.size, _LEFT) if self.count else 0.5
         self.count, self.size = self.count + 1, size
@@ -74,50 +86,58 @@ class _Help:
         if kept > _USELESS:
             self.give_up()
 
-    def made_it_worse(self, change):
+    def made_it_worse(self, change: float) -> bool:
         """Whether the first steps after a correction change more than the last ones before it.
 
-        What it added still is there, for the most part: the more surely, the longer it would take
-        to go away.
+        Most of a bad correction is still there after them, and the more of it, the more slowly it
+        would disappear.
         """
         before, self.before = self.before, None
         return before is not None and change > before
 
-    def give_up(self):
-        self.wanted, self.left, self.before = False, 0.0, None
+    def give_up(self) -> None:
+        """Make no more corrections."""
+        self.enabled, self.left, self.before = False, 0.0, None
 
 
-def settle(level, tolerance, most_steps, tell):
-    """Step a started `Level` until its light is within a tolerance of what it tends to.
+def converge(
+    level: Level, tolerance: float, most_steps: int, report: Callable[[float], None]
+) -> tuple[float, int, int]:
+    """Step a started `Level` until its light is within a tolerance of its limit.
 
-    tell  is called with the estimated error at each look
+    report  called with the estimated error at each check
     Returns (estimated relative error, steps, corrections).
     """
     lattice, steps, error = level.lattice, 0, 1.0
-    look, help_ = _Look(lattice), _Help(wanted=not level.is_coarsest)
+    monitor = ConvergenceMonitor(lattice)
+    policy = CorrectionPolicy(enabled=not level.is_coarsest)
     while steps < most_steps:
-        tell(error)
-        lattice.advance(min(_LOOK_EVERY, most_steps - steps))
-        steps = min(steps + _LOOK_EVERY, most_steps)
-        change = look.change()
-        if help_.made_it_worse(change):
+        report(error)
+
+        # Take some steps, and take a correction back if they show that it did harm.
+        lattice.advance(min(_CHECK_EVERY, most_steps - steps))
+        steps = min(steps + _CHECK_EVERY, most_steps)
+        change = monitor.change()
+        if policy.made_it_worse(change):
             level.take_back()
-            help_.give_up()
-            look.start_again()
+            policy.give_up()
+            monitor.restart()
             continue
-        look.changes.append(change)
-        # What a correction leaves shrinks fast, and tells sooner how fast.
-        rates = len(look.rates)
-        if rates < (1 if help_.left else _RATES):
+        monitor.changes.append(change)
+
+        # Estimate the error once there are rates enough: after a correction, fewer suffice.
+        rates = len(monitor.rates)
+        if rates < (1 if policy.left else _RATES):
             continue
-        left, ahead = look.still_to_come(tolerance)
+        left, ahead = monitor.remaining(tolerance)
         if rates > 1:
-            error = left + help_.left
+            error = left + policy.left
             if error <= tolerance:
                 break
-        # Never as the last thing done: whether it was right shows in the steps after it.
-        helps = ahead > _FAR or left <= tolerance < left + help_.left
-        if help_.wanted and helps and most_steps - steps > 2 * _LOOK_EVERY:
+
+        # Correct where many steps are left; never last, as only further steps can check it.
+        helps = ahead > _FAR or left <= tolerance < left + policy.left
+        if policy.enabled and helps and most_steps - steps > 2 * _CHECK_EVERY:
             steps += level.correct()
-            help_.note(look.start_again(), change)
-    return min(error, 1.0), steps, help_.count
+            policy.note(monitor.restart(), change)
+    return min(error, 1.0), steps, policy.count

@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The physical lattice in NumPy float64: the oracle of its kernels, and the solver where no OpenCL
-runtime exists.
+"""The physical lattice in NumPy float64: the twin of kernels/lattice.
 
-It carries scattered light. f_m is the power that flows along direction m from a voxel to the next
-one, over the squared edge of a voxel, W/m^2. In a step what has arrived collides over the length
-l_m (voxels) between two centres, takes up what a source hands to the voxel, and flows on. The state
-is the light that has arrived. docs/theory/physics.md derives what stands here; `Cells` says where
-it lies.
+It carries scattered light. f_m is the power that flows along direction m from a voxel to its
+neighbour, divided by the squared edge of a voxel, W/m^2. In a step the light that has arrived
+collides over the length l_m (voxels) between two centres, receives the source, and streams on. The
+state is the light that has arrived. docs/theory/physics.md derives the equations; `Cells` describes
+the layout.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Array, Floats, Integers
 from ..medium import repeated
-from .boundary import mirrors
+from .boundary import reflection
 from .layout import (
     LENGTHS,
     MEAN_LENGTH,
@@ -28,33 +30,33 @@ from .layout import (
 )
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
-CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
-"""How many more than one of the voxels beside a diagonal light on it meets: so many that with all
-directions it enters 3/2 voxels a voxel's edge, as straight lines of all directions do."""
+DIAGONAL_BLOCKING = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
+"""How many voxels beside a diagonal, over 1, light on it meets. With this number light of all
+directions enters 3/2 voxels for each voxel's edge, as straight lines of all directions do."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What is handed to the lattice of one band in every step.
+    """The source of one band, added in every step.
 
-    power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
-    drift      (3, nx, ny, nz) W/m^2, power times its mean direction, and times its mean place from
-               the voxel's centre in transport mean free paths: either carries light on that far
-    reflected  (nx, ny, nz) W/m^2 or None, what opaque voxels send into each voxel besides what the
-               lattice brings them
+    power      (nx, ny, nz) W/m^2, divided by the squared edge of a voxel
+    drift      (3, nx, ny, nz) W/m^2: power times its mean direction, plus power times its mean
+               place from the voxel's centre in transport mean free paths; both carry light
+               equally far
+    reflected  (nx, ny, nz) W/m^2 or None: uncollided light that opaque voxels reflect into each
     """
 
-    power: np.ndarray
-    drift: np.ndarray
-    reflected: np.ndarray | None = None
+    power: Floats
+    drift: Floats
+    reflected: Floats | None = None
 
 
-def rates(depth, albedo, g):
-    """(even, odd, absorbed), each (18, ...): the share of each part that a step changes.
+def rates(depth: Floats, albedo: float, g: float) -> tuple[Floats, Floats, Floats]:
+    """(even, odd, absorbed), each (18, ...): the relaxation rates of a step.
 
     depth  (...), optical depth of a voxel's edge
-    Even parts relax by the second moment of the phase function, odd ones by the first. Empty
-    voxels change nothing: there light streams on.
+    Even parts relax by the second moment of the phase function, odd parts by the first. All rates
+    of empty voxels are 0: light streams on.
     """
     first, second, loss = (
         _by_direction(depth * (1 - albedo * factor)) for factor in (g, g * g, 1.0)
@@ -66,26 +68,34 @@ def rates(depth, albedo, g):
     return even, odd, absorbed
 
 
-def _by_direction(depth):
-    """(18, ...): what lies between two centres."""
+def _by_direction(depth: Floats | float) -> Floats:
+    """(18, ...): a depth between two centres."""
     return np.multiply.outer(LENGTHS, depth)
 
 
 class NumpyLattice:
-    """The lattice of one band, used just as `physical_opencl.OpenclLattice`.
+    """The lattice of one band; `lattice_opencl.OpenclLattice` takes the same calls.
 
     depth             (nx, ny, nz), optical depth of a voxel's edge
     albedo, g         of the band
-    occlusion         (nx, ny, nz) or None, the share of arriving light that a voxel stops
-    occlusion_albedo  (nx, ny, nz) or a number, the share of that which goes back
-    edge              voxels, the longest of a domain of which this is a part; None if it is all
+    occlusion         (nx, ny, nz) or None: the share of arriving light that a voxel stops
+    occlusion_albedo  (nx, ny, nz) or a number: the share of that which it reflects
+    edge              voxels, the longest edge of the domain; None if the lattice covers all of it
     """
 
-    def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
+    def __init__(
+        self,
+        depth: Floats,
+        albedo: float,
+        g: float,
+        occlusion: Floats | None = None,
+        occlusion_albedo: Any = 0.0,
+        edge: float | None = None,
+    ) -> None:
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.steps = self.cells.steps
         depth = np.asarray(depth, float)
-        self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells, edge)
+        self.outside, self.within = reflection(depth, albedo, g, occlusion, self.cells, edge)
         self.inside = self.cells.is_inside()
         self.occluders = None
         if occlusion is not None:
@@ -93,16 +103,16 @@ class NumpyLattice:
         depth = self.cells.flat(depth)
         self.even, self.odd, self.absorbed = rates(depth, albedo, g)
         self.transport_depth = depth * (1 - albedo * g)
-        # Over the depth of a voxel, which leaves a number in empty ones.
+        # Divided by the depth of a voxel, so that they are finite in empty ones.
         self.drifted = _by_direction(1.0)[:, None] / (1 + _by_direction(self.transport_depth) / 2)
         self.lingered = _by_direction(1.0)[:, None] / (1 + _by_direction(depth * (1 - albedo)) / 2)
-        # The weights of isotropic light: what collides, or in empty voxels the length of flight.
+        # The weights of isotropic light: the rate of collisions, or the length in empty voxels.
         pull = np.where(self.even[0] > 0, self.even, LENGTHS[:, None])
         self.pull = pull / (WEIGHTS @ pull)
 
     @staticmethod
-    def buffers(shape, occluded):
-        """{what: bytes} for a lattice of this shape and all coarser ones, float64."""
+    def buffers(shape: tuple[int, ...], occluded: bool) -> dict[str, int]:
+        """{name: bytes} of a lattice of this shape and all coarser ones, float64."""
         directions = 18 * 8 * Cells(shape).count
         plan = {"light": directions, "light that flows on": directions, "rates": 6 * directions}
         plan |= {"source": 3 * directions, "work": 3 * directions}
@@ -111,35 +121,35 @@ class NumpyLattice:
         plan["coarser lattices"] = sum(plan.values()) // 7  # an eighth, an eighth of that, ...
         return plan
 
-    def start(self, source):
-        """Dark, with a `Source`."""
+    def start(self, source: Source) -> None:
+        """Start from darkness, with a `Source`."""
         power = self.cells.flat(source.power)
         self.emitted = np.multiply.outer(WEIGHTS * LENGTHS / MEAN_LENGTH, power)
         self.drift = self._drift(self.cells.flat(source.drift))
         self.given = self.emitted * (1 - self.absorbed / 2) + self.drift
         self._start_dark(source.reflected)
 
-    def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `hand_down`."""
+    def start_as_coarser(self) -> None:
+        """Start from darkness, with the source that finer lattices `restrict`."""
         self.given = np.zeros((18, self.cells.count))
         self._start_dark(None)
 
-    def _start_dark(self, reflected):
+    def _start_dark(self, reflected: Floats | None) -> None:
         if self.occluders is not None:
             self.occluders.start(reflected)
-        self.light = np.zeros((18, self.cells.count))
+        self.light: Floats = np.zeros((18, self.cells.count))
 
-    def _drift(self, drift):
+    def _drift(self, drift: Floats) -> Floats:
         """(18, count) of (3, count)."""
         return WEIGHTS[:, None] / SECOND_MOMENT * self.drifted * (MOVING @ drift)
 
-    def advance(self, steps):
-        """Take so many steps."""
+    def advance(self, steps: int) -> None:
+        """Take a number of steps."""
         for _ in range(steps):
             self.light = self._streamed(self._collided(self.light))
 
-    def _collided(self, f):
-        """(18, count): what flows on of what has arrived."""
+    def _collided(self, f: Floats) -> Floats:
+        """(18, count): the light after collisions and reflection, from light that has arrived."""
         even, odd = (f + f[OPPOSITE]) / 2, (f - f[OPPOSITE]) / 2
         isotropic = self._isotropic(f)
         even -= self.even * (even - isotropic) + self.absorbed * isotropic
@@ -152,19 +162,19 @@ class NumpyLattice:
                 out[OPPOSITE[m], at] += back
         return out
 
-    def _streamed(self, out):
-        """(18, count): what arrives of what flows on."""
+    def _streamed(self, out: Floats) -> Floats:
+        """(18, count): the light that arrives, from light after collisions."""
         arrived = np.array([np.roll(f, step) for f, step in zip(out, self.steps, strict=True)])
         return arrived if self.occluders is None else self.occluders.met(arrived)
 
-    def hand_down(self, coarser, factor):
-        """Give a lattice of half the resolution a factor times the light that flowed on last.
+    def restrict(self, coarser: "NumpyLattice", factor: float) -> None:
+        """Add a factor times the light that streamed last to the source of a coarser lattice.
 
-        The odd part carries light on by (1 / s + 1 / 2) voxels' lengths, s the transport depth of
-        one, before it is forgotten: by as far on both.
+        The odd part carries light by (1 / s + 1 / 2) lengths of a voxel, s its transport depth,
+        before it relaxes: the restriction keeps that distance.
         """
-        out = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
-        out = self.cells.inside(np.array(out))
+        sent = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
+        out = self.cells.inside(np.array(sent))
         even, odd = (out + out[OPPOSITE]) / 2, (out - out[OPPOSITE]) / 2
         power = out.sum(axis=0)
         place = np.array([power * (n % 2 - 0.5) for n in np.indices(self.shape)]) / 2
@@ -174,62 +184,62 @@ class NumpyLattice:
         given = (even + odd / coarser._flow()) / 4 + cells.inside(drift)
         cells.inside(coarser.given)[...] += factor * given
 
-    def take_up(self, coarser, factor):
-        """Add a factor times the light of a lattice of half the resolution."""
+    def prolongate(self, coarser: "NumpyLattice", factor: float) -> None:
+        """Add a factor times the light of a coarser lattice, interpolated."""
         light = coarser.cells.inside(coarser.light)
         even, odd = (light + light[OPPOSITE]) / 2, (light - light[OPPOSITE]) / 2
-        even, odd = (_doubled(part, self.shape) for part in (even, odd))
-        # By the flow of the voxel that each lies in: next to it there may be far thinner ones.
-        own = tuple(map(slice, self.shape))  # beyond an odd edge there is nothing
-        odd *= self._flow() / repeated(coarser._flow(), 2)[:, *own]
+        even, odd = (interpolate(part, self.shape) for part in (even, odd))
+        # Scale by the flow of the coarse voxel around each: its neighbours may be far thinner.
+        part = tuple(map(slice, self.shape))  # there is nothing beyond an odd edge
+        odd *= self._flow() / repeated(coarser._flow(), 2)[:, *part]
         self.cells.inside(self.light)[...] += factor * (even + odd)
 
-    def _flow(self):
-        """(18, nx, ny, nz), the odd part over that of the light that flows through a voxel."""
+    def _flow(self) -> Floats:
+        """(18, nx, ny, nz): the odd part, relative to that of the light that crosses a voxel."""
         return 1 + _by_direction(self.cells.inside(self.transport_depth)) / 2
 
-    def _isotropic(self, f):
-        """(18, count): the light spread evenly that collisions lead to."""
+    def _isotropic(self, f: Floats) -> Floats:
+        """(18, count): the isotropic light that collisions relax to."""
         return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
-    def fluence(self, every=1):
-        """(nx, ny, nz) W/m^2, of every n-th layer along x; absorption times it is what the
-        steps absorb."""
+    def fluence(self, every: int = 1) -> Floats:
+        """(nx, ny, nz) W/m^2 of every n-th layer along x. Times the absorption depth it is the
+        power that the steps absorb."""
         passing = self._isotropic(self.light) + self.emitted / 2
         return self.cells.inside(np.sum(passing * self.lingered, axis=0))[::every]
 
-    def flux(self):
+    def flux(self) -> Floats:
         """(3, nx, ny, nz) W/m^2."""
         passing = self.light * (1 - self.odd / 2) + self.drift / 2
         return self.cells.inside(MOVING.T.astype(float) @ passing)
 
-    def leaving(self):
-        """Yields for each direction (nx, ny, nz) W/m^2: what flowed on by the last step, by the
-        voxel that it left; less of what leaves all of these where some of it comes back."""
+    def leaving(self) -> Iterator[Floats]:
+        """Yield for each direction (nx, ny, nz) W/m^2: light that streamed in the last step, by the
+        voxel that it left. Light that leaves the domain is less by what is reflected."""
         for light, step in zip(self.light, self.steps, strict=True):
             yield self.cells.inside(np.roll((1 - self.outside) * light, -step))
 
-    def lost(self):
+    def lost(self) -> tuple[Floats, float]:
         """(left (6,), stopped): the light of a step that leaves through the faces -x, +x, -y, +y,
-        -z, +z, and that occluders absorb; sums over voxels of W/m^2."""
+        -z, +z, and the light that occluders absorb; sums over voxels of W/m^2."""
         left = np.zeros(6)
         for c, gone in zip(MOVING, self.leaving(), strict=True):
-            for axis in np.flatnonzero(c):  # a diagonal leaves through the first face of the two
+            for axis in np.flatnonzero(c):  # a diagonal leaves through the first of its two faces
                 border = (slice(None),) * axis + (-1 if c[axis] > 0 else 0,)
                 left[2 * axis + (c[axis] > 0)] += gone[border].sum()
                 gone[border] = 0
         return left, 0.0 if self.occluders is None else self.occluders.stopped
 
 
-def sum_of_eight(values):
-    """(..., nx/2, ny/2, nz/2, rounded up) of (..., nx, ny, nz)."""
+def sum_of_eight(values: Array) -> Array:
+    """(..., nx/2, ny/2, nz/2), rounded up: the sums of eight voxels each."""
     for axis in (-3, -2, -1):
         values = np.add.reduceat(values, range(0, values.shape[axis], 2), axis)
     return values
 
 
-def _doubled(values, shape):
-    """Values at the centres of voxels, between those of voxels of twice the size."""
+def interpolate(values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Values at the centres of voxels, interpolated between voxels of twice the edge."""
     for axis, n in zip((-3, -2, -1), shape, strict=True):
         here = np.arange(n)
         near = here // 2
@@ -239,17 +249,17 @@ def _doubled(values, shape):
 
 
 class _Occluders:
-    """Opaque voxels, and what they do to light on its way from cell to cell.
+    """Opaque voxels, which stop and reflect light on its way from cell to cell.
 
-    Of all of these, (18, count), row m is of light that arrives at a cell along m; nothing is
-    stopped on the way out of the domain, nor of what comes back from there.
+    Row m of the arrays (18, count) is for light that arrives at a cell along m. Nothing is stopped
+    on the way out of the domain, nor of light that its faces reflect.
 
     passed    the share that arrives
-    back      the share that goes back to where it came from
-    stopped   the sum of what they have absorbed of the last step, W/m^2
+    back      the share that is reflected
+    stopped   W/m^2 that they absorbed in the last step, summed over voxels
     """
 
-    def __init__(self, cells, occlusion, albedo):
+    def __init__(self, cells: Cells, occlusion: Floats, albedo: Any) -> None:
         self.cells, self.steps = cells, cells.steps
         occlusion = np.asarray(occlusion, float)
         inside, opaque = cells.is_inside(), cells.flat(occlusion)
@@ -260,39 +270,39 @@ class _Occluders:
             stopped, beside = self._beside(opaque, reflecting, c)
             self.passed[m] = np.where(between, (1 - stopped) * (1 - opaque), 1)
             self.back[m] = np.where(between, beside + (1 - stopped) * reflecting, 0)
-        # What goes back of light that left a cell along m, at that cell.
+        # The reflected share of light that left a cell along m, at that cell.
         self.sent_back = np.array(
             [np.roll(back, -step) for back, step in zip(self.back, self.steps, strict=True)]
         )
-        self.spread = WEIGHTS @ self.sent_back
+        self.returning = WEIGHTS @ self.sent_back
         self.stopped = 0.0
 
-    def _beside(self, opaque, reflecting, c):
-        """(count,) each: the shares that the two voxels beside a diagonal on its way to each cell
-        stop, and send back; none along axes."""
+    def _beside(self, opaque: Floats, reflecting: Floats, c: Integers) -> Floats:
+        """(2, count): the shares that the two voxels beside a diagonal towards each cell stop and
+        reflect; 0 along axes."""
         if np.abs(c).sum() == 1:
             return np.zeros((2, self.cells.count))
         steps = parts(c) @ (self.cells.plane, self.cells.row, 1)
-        means = [
+        means: list[Any] = [
             sum(np.roll(values, step) / 2 for step in steps) for values in (opaque, reflecting)
         ]
-        return np.multiply(means, 1 + CROWDED * (1 - means[0]))
+        return np.multiply(means, 1 + DIAGONAL_BLOCKING * (1 - means[0]))
 
-    def start(self, reflected):
-        """reflected is that of a `Source`."""
-        none = np.zeros(self.cells.shape)
-        self.reflected = self.cells.flat(none if reflected is None else reflected)
+    def start(self, reflected: Floats | None) -> None:
+        """Start with the reflected light of a `Source`."""
+        dark = np.zeros(self.cells.shape)
+        self.reflected = self.cells.flat(dark if reflected is None else reflected)
 
-    def met(self, arriving):
-        """(18, count): what arrives where all of this would without them.
+    def met(self, arriving: Floats) -> Floats:
+        """(18, count): the light that arrives, from the light that would arrive without them.
 
-        What they send back to a cell goes off evenly in all directions away from them: sent
-        straight back, light would go to and fro for ever between white walls.
+        Light that they reflect into a cell leaves it evenly in all directions away from them:
+        reflected straight back, it would oscillate for ever between white walls.
         """
         self.stopped = float(np.sum((1 - self.passed - self.back) * arriving))
         sent = [np.roll(f, -step) for f, step in zip(arriving, self.steps, strict=True)]
         returning = self.reflected + np.sum(self.sent_back * sent, axis=0)
         density = np.divide(
-            returning, self.spread, out=np.zeros(self.cells.count), where=self.spread > 0
+            returning, self.returning, out=np.zeros(self.cells.count), where=self.returning > 0
         )
         return self.passed * arriving + WEIGHTS[:, None] * self.sent_back[OPPOSITE] * density

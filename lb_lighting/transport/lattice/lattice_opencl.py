@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The physical lattice on an OpenCL device, in float32; physical_numpy.py is the twin."""
+"""The physical lattice on an OpenCL device, in float32: kernels/lattice."""
 
+from collections.abc import Iterator, Sequence
 from math import prod
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
+from ...arrays import Floats, Integers
 from ..device import (
+    Device,
     context,
     program,
     queue,
     upload,
     zeros,
 )
-from .boundary import REFLECTED, mirrors
-from .lattice_numpy import CROWDED
+from .boundary import REFLECTED, reflection
+from .lattice_numpy import DIAGONAL_BLOCKING, Source
 from .layout import (
     GROUP,
     MEAN_LENGTH,
@@ -27,7 +31,7 @@ from .multigrid import shapes
 
 _SOURCES = ("lattice/layout.cl", "lattice/lattice.cl", "lattice/multigrid.cl")
 
-_SLAB = 8  # planes of a coarser lattice that are exchanged at a time
+_SLAB = 8  # planes of a coarser lattice that are restricted or prolongated at a time
 _CONSTANTS = (
     f"GROUP={GROUP}",
     *(
@@ -38,38 +42,54 @@ _CONSTANTS = (
             ("MEAN_LENGTH", MEAN_LENGTH),
             ("SECOND_MOMENT", SECOND_MOMENT),
             ("REFLECTED", REFLECTED),
-            ("CROWDED", CROWDED),
+            ("DIAGONAL_BLOCKING", DIAGONAL_BLOCKING),
         )
     ),
 )
 
 
 class OpenclLattice:
-    """The lattice of one band on a device, with the arguments of `physical_numpy.NumpyLattice`."""
+    """The lattice of one band on a device; it takes the calls of `lattice_numpy.NumpyLattice`."""
 
-    def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device, edge=None):
+    def __init__(
+        self,
+        depth: Floats,
+        albedo: float,
+        g: float,
+        occlusion: Floats | None,
+        occlusion_albedo: Any,
+        device: Device,
+        edge: float | None = None,
+    ) -> None:
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.context, self.queue = context(device), queue(device)
         self.program = program(device, _SOURCES, _CONSTANTS)
         self.kernels = {kernel.function_name: kernel for kernel in self.program.all_kernels()}
         self.light = self._buffer(_state_size(self.cells))
-        self.swapped, self.kind = np.int32(0), None
+        self.swapped = np.int32(0)
+        self.kind: str | None = None
 
         cells = self.cells
-        outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells, edge)
+        outside, within = reflection(np.asarray(depth, float), albedo, g, occlusion, cells, edge)
         depths = np.where(cells.is_inside(), cells.flat(depth), -1 - outside / REFLECTED)
         self.depths = upload(self.queue, depths)
-        factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
+        factors = (
+            1 - albedo * g,
+            1 - albedo * g * g,
+            1 - albedo,
+        )  # float64: they may be tiny
         grid = (cells.plane, cells.row, _stride(cells), cells.first)
         self.grid = [np.uint64(n) for n in grid]
         self.origin = np.uint64(cells.first)
         self.medium = [self.depths, *map(np.float32, factors)]
-        self.mirrors = self._mirrors(within)
+        self.reflection = self._reflection(within)
         self.occluders = None
         if occlusion is not None:
             self.occluders = _Occluders(self, occlusion, occlusion_albedo)
 
-    def _mirrors(self, within):
+    def _reflection(
+        self, within: dict[int, tuple[Integers, Floats]]
+    ) -> tuple[int, Sequence[cl.Buffer]]:
         """(cells, arguments of the kernel `mirror`)."""
         faces = np.concatenate([np.full(len(at), face) for face, (at, _) in within.items()])
         at, shares = (np.concatenate(values) for values in zip(*within.values(), strict=True))
@@ -79,59 +99,59 @@ class OpenclLattice:
         return len(at), [upload(self.queue, array, array.dtype) for array in arrays]
 
     @staticmethod
-    def buffers(shape, occluded):
-        """{what: bytes} of device memory for a lattice of this shape and all coarser ones, but for
-        flat faces."""
+    def buffers(shape: tuple[int, ...], occluded: bool) -> dict[str, int]:
+        """{name: bytes} of device memory for a lattice of this shape and all coarser ones, without
+        the reflection of flat faces."""
         cells, voxels = Cells(shape), 4 * prod(shape)
-        own = 4 + 6 * 4 * occluded  # bytes a cell, of what there is of the medium
-        plan = {"light": 4 * _state_size(cells), "medium": own * cells.count}
+        matter = 4 + 6 * 4 * occluded  # bytes of each cell
+        plan = {"light": 4 * _state_size(cells), "medium": matter * cells.count}
         plan |= {"source": 16 * cells.count, "fluence": voxels, "flux": 3 * voxels}
         for coarser in shapes(shape):
             cells = Cells(coarser)
             plan["coarser lattices"] = plan.get("coarser lattices", 0) + (
-                8 * _state_size(cells) + own * cells.count + 4 * _parts_size(coarser)
+                8 * _state_size(cells) + matter * cells.count + 4 * _parts_size(coarser)
             )
         return plan
 
-    def start(self, source):
-        """Dark, with a `Source`."""
+    def start(self, source: Source) -> None:
+        """As the twin's."""
         given = np.concatenate([source.power[None], source.drift]).astype(np.float32)
         self.source = [upload(self.queue, self.cells.flat(given)), np.uint64(self.cells.count)]
         self.kind = "step"
         self._start_dark(source.reflected)
 
-    def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `hand_down`."""
+    def start_as_coarser(self) -> None:
+        """As the twin's."""
         if self.kind is None:
             self.kind, self.source = "step_coarser", [self._buffer(_state_size(self.cells))]
             self.parts = self._buffer(_parts_size(self.shape))
         self._darken(*self.source)
         self._start_dark(None)
 
-    def _start_dark(self, reflected):
+    def _start_dark(self, reflected: Floats | None) -> None:
         if self.occluders is not None:
             self.occluders.start(reflected)
-        self._darken(self.light)  # the guards too: what lies there is read
+        self._darken(self.light)  # the guards, too: kernels read them
         self.swapped = np.int32(0)
 
-    def _darken(self, buffer):
+    def _darken(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.float32(0), 0, buffer.size)
 
-    def advance(self, steps):
-        """Take so many steps."""
+    def advance(self, steps: int) -> None:
+        """Take a number of steps."""
         for _ in range(steps):
             kernel = self.kernels[f"{self.kind}_there" if self.swapped else f"{self.kind}_here"]
             arguments = (*self.grid, *self.medium, *self.source, self.light)
             kernel(self.queue, (self.cells.count,), (GROUP,), *arguments)
             self.swapped = np.int32(not self.swapped)
-            count, mirrors_of = self.mirrors
+            count, reflecting = self.reflection
             if count:
-                arguments = (*self.grid, self.light, self.swapped, *mirrors_of)
+                arguments = (*self.grid, self.light, self.swapped, *reflecting)
                 self.kernels["mirror"](self.queue, (count,), None, *arguments)
             if self.occluders is not None:
                 self.occluders.meet()
 
-    def hand_down(self, coarser, factor):
+    def restrict(self, coarser: "OpenclLattice", factor: float) -> None:
         """As the twin's."""
         (_, ny, nz), (given, parts) = coarser.shape, (coarser.source[0], coarser.parts)
         across = (*self.grid, self.light, self.swapped, self.depths, self.origin, self.medium[1])
@@ -140,9 +160,9 @@ class OpenclLattice:
         for begin, planes in coarser._slabs():
             self._run("sum_across", (self.shape[2], ny, planes), *across, begin, parts)
             rest = (begin, depth, parts, np.float32(factor), given)
-            self._run("hand_down", (nz, ny, planes), *down, *rest)
+            self._run("restrict_light", (nz, ny, planes), *down, *rest)
 
-    def take_up(self, coarser, factor):
+    def prolongate(self, coarser: "OpenclLattice", factor: float) -> None:
         """As the twin's."""
         (nx, ny, nz), parts = coarser.shape, coarser.parts
         above = (*coarser.grid, coarser.light, coarser.swapped, coarser.origin)
@@ -154,26 +174,26 @@ class OpenclLattice:
             self._run("interpolate", (depth, ny, planes + 2), *above, *rest)
             rest = (begin, *over, np.uint64(planes + 2), parts, np.float32(factor))
             layers = min(2 * planes, self.shape[0] - 2 * int(begin))
-            self._run("take_up", (depth, self.shape[1], layers), *here, *rest)
+            self._run("prolongate", (depth, self.shape[1], layers), *here, *rest)
 
-    def _slabs(self):
-        """[(first plane, planes)] that light goes down to and up from at a time."""
+    def _slabs(self) -> list[tuple[np.uint64, int]]:
+        """[(first plane, planes)] that are restricted or prolongated at a time."""
         nx = self.shape[0]
         return [(np.uint64(x), min(_SLAB, nx - x)) for x in range(0, nx, _SLAB)]
 
-    def _run(self, kernel, items, *arguments):
+    def _run(self, kernel: str, items: tuple[int, ...], *arguments: Any) -> None:
         self.kernels[kernel](self.queue, items, None, *arguments)
 
-    def fluence(self, every=1):
+    def fluence(self, every: int = 1) -> Floats:
         """(nx, ny, nz) W/m^2, float32; of every n-th layer along x."""
         nx, ny, nz = self.shape
         return self._read("read_fluence", (-(-nx // every), ny, nz), every)
 
-    def flux(self):
+    def flux(self) -> Floats:
         """(3, nx, ny, nz) W/m^2, float32."""
         return self._read("read_flux", (3, *self.shape))
 
-    def leaving(self):
+    def leaving(self) -> Iterator[Floats]:
         """As the twin's."""
         depths, light = np.empty((2, self.cells.count), np.float32)
         cl.enqueue_copy(self.queue, depths, self.depths)
@@ -184,7 +204,7 @@ class OpenclLattice:
             cl.enqueue_copy(self.queue, light, self.light, src_offset=4 * int(offset))
             yield self.cells.inside((1 - np.roll(staying, -step)) * light)
 
-    def lost(self):
+    def lost(self) -> tuple[Floats, float]:
         """(left (6,), stopped), as of the twin."""
         nx, ny, nz = self.shape
         left = np.empty((6, nz), np.float32)
@@ -196,7 +216,7 @@ class OpenclLattice:
         stopped = 0.0 if self.occluders is None else self.occluders.stopped()
         return left.sum(axis=1, dtype=float), stopped
 
-    def _read(self, kernel, shape, every=1):
+    def _read(self, kernel: str, shape: tuple[int, ...], every: int = 1) -> Floats:
         values = np.empty(shape, np.float32)
         buffer = self._buffer(values.size)
         arguments = (*self.grid, self.light, self.swapped, *self.medium, *self.source, self.origin)
@@ -205,14 +225,14 @@ class OpenclLattice:
         cl.enqueue_copy(self.queue, values, buffer)
         return values
 
-    def _buffer(self, floats):
+    def _buffer(self, floats: int) -> cl.Buffer:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, 4 * floats)
 
 
 class _Occluders:
-    """The opaque voxels of a lattice, and what they do to its light after each step."""
+    """The opaque voxels of a lattice, which stop and reflect its light after each step."""
 
-    def __init__(self, lattice, occlusion, albedo):
+    def __init__(self, lattice: OpenclLattice, occlusion: Floats, albedo: Any) -> None:
         self.lattice, cells = lattice, lattice.cells
         opaque = cells.flat(np.asarray(occlusion, np.float32))
         near = sum(np.roll(opaque > 0, step) for step in (0, *cells.steps)) > 0
@@ -224,16 +244,16 @@ class _Occluders:
         self.densities = zeros(lattice.queue, 4 * cells.count)
         self.absorbed = zeros(lattice.queue, 4 * max(1, len(self.at)))
 
-    def start(self, reflected):
-        """reflected is that of a `Source`."""
+    def start(self, reflected: Floats | None) -> None:
+        """Start with the reflected light of a `Source`."""
         if reflected is None:
             self.lattice._darken(self.reflected)
         else:
             values = self.lattice.cells.flat(reflected).astype(np.float32)
             cl.enqueue_copy(self.lattice.queue, self.reflected, values)
 
-    def meet(self):
-        """What the light of the last step meets on its way."""
+    def meet(self) -> None:
+        """Stop and reflect the light of the last step."""
         if not len(self.at):
             return
         lattice, items = self.lattice, (len(self.at),)
@@ -244,28 +264,28 @@ class _Occluders:
         ):
             lattice.kernels[name](lattice.queue, items, None, *arguments, *rest)
 
-    def stopped(self):
-        """W/m^2, the sum of what was absorbed of the last step."""
+    def stopped(self) -> float:
+        """W/m^2 that they absorbed in the last step, summed over voxels."""
         values = np.empty(self.absorbed.size // 4, np.float32)
         cl.enqueue_copy(self.lattice.queue, values, self.absorbed)
         return float(values.sum(dtype=float))
 
 
-def _stride(cells):
-    """Floats from one direction's light to the next one's: between them there is room for what
-    cells at either end take from beyond it.
+def _stride(cells: Cells) -> int:
+    """Floats from one direction's light to the next. Guards between them hold what cells at either
+    end read beyond it.
 
-    Never a multiple of 1024: caches would hold only few of the 18 at a time.
+    Never a multiple of 1024: then caches could hold only few of the 18 directions at a time.
     """
     floats = cells.count + -(-cells.first // 16) * 16
     return floats + 16 if floats % 1024 == 0 else floats
 
 
-def _state_size(cells):
+def _state_size(cells: Cells) -> int:
     return 18 * _stride(cells) + cells.first
 
 
-def _parts_size(shape):
-    """Floats of what is kept on the way between a coarser lattice of this shape and the next."""
+def _parts_size(shape: tuple[int, ...]) -> int:
+    """Floats of the buffer between a coarser lattice of this shape and the next finer one."""
     _, ny, nz = shape
     return ny * 2 * nz * max(21 * _SLAB, 18 * (_SLAB + 2))

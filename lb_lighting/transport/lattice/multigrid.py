@@ -1,63 +1,77 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Coarser lattices, on which light crosses in few steps what takes many on the finest.
+"""Multigrid: coarser lattices, on which light crosses the domain in fewer steps.
 
-A step carries light one voxel on: on a lattice of half the resolution twice as far, for an eighth
-of the work. What a step still changes on the fine lattice is handed down as a source; what the
-coarse one makes of that is nearly all that is still to come, and is added. The coarse one is helped
-in the same way. (Multigrid, by correction: A. Brandt, "Multi-level adaptive solutions to
-boundary-value problems", 1977. docs/theory/physics.md, "Few steps", says what was measured.)
+A step carries light by one voxel: on a lattice of half the resolution twice as far, for an eighth
+of the work. The residual of the fine lattice is restricted to a source of the coarse one; the
+coarse solution is nearly all of the error, is prolongated and added. The coarse lattice is
+corrected in the same way. (The correction scheme of A. Brandt, "Multi-level adaptive solutions
+to boundary-value problems", 1977. docs/theory/physics.md, "Few steps", has the measurements.)
 """
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Array, Floats
 from .lattice_numpy import sum_of_eight
 
-_SMALLEST = 8  # voxels, the longest edge that is not halved
-_BETWEEN = 2  # steps between two looks at what flows: what goes to and fro is averaged out
-_SMOOTHING, _ON_COARSEST = 2, 32  # steps of coarser lattices: around corrections, and without
-_CORRECTIONS = 2  # of a coarser lattice, each time that it is used
+_SMALLEST = 8  # voxels, the longest edge that is not coarsened
+_BETWEEN = 2  # steps between the two restrictions: this averages out light that oscillates
+_SMOOTHING, _ON_COARSEST = 2, 32  # steps of coarser lattices: around corrections; of the coarsest
+_CORRECTIONS = 2  # of a coarser lattice at each visit: a W-cycle
 
 
 class Level:
-    """A lattice, and coarser ones that are made when they are needed first.
+    """A lattice and its coarser ones, which are made when they are first needed.
 
-    make  function that makes a lattice of what follows, the arguments of `NumpyLattice`
+    make  makes a lattice; it and the other arguments are those of `NumpyLattice`
     """
 
-    def __init__(self, make, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
+    def __init__(
+        self,
+        make: Callable[..., Any],
+        depth: Floats,
+        albedo: float,
+        g: float,
+        occlusion: Floats | None = None,
+        occlusion_albedo: Any = 0.0,
+        edge: float | None = None,
+    ) -> None:
         self.make, self.optics = make, (albedo, g)
         self.depth, self.opaque = depth, (occlusion, occlusion_albedo)
         self.edge = edge or max(depth.shape)
         self.lattice = make(depth, albedo, g, occlusion, occlusion_albedo, edge=self.edge)
 
     @property
-    def is_coarsest(self):
+    def is_coarsest(self) -> bool:
+        """Whether there is no coarser lattice."""
         return max(self.depth.shape) <= _SMALLEST
 
     @cached_property
-    def coarser(self):
+    def coarser(self) -> "Level":
+        """The level of half the resolution."""
         optics = (*self.optics, *_halved(*self.opaque))
         return Level(self.make, 2 * _mean(self.depth), *optics, edge=self.edge / 2)
 
-    def correct(self):
-        """Take two steps, and add what is still to come: the number of steps."""
+    def correct(self) -> int:
+        """Take two steps and add the coarse-grid correction. Returns the number of steps."""
         coarser = self.coarser.lattice
         coarser.start_as_coarser()
-        self.lattice.hand_down(coarser, -1 / _BETWEEN)
+        self.lattice.restrict(coarser, -1 / _BETWEEN)
         self.lattice.advance(_BETWEEN)
-        self.lattice.hand_down(coarser, 1 / _BETWEEN)
+        self.lattice.restrict(coarser, 1 / _BETWEEN)
         self.coarser._light()
-        self.lattice.take_up(coarser, 1.0)
+        self.lattice.prolongate(coarser, 1.0)
         return _BETWEEN
 
-    def take_back(self):
-        """Take away what the last correction added."""
-        self.lattice.take_up(self.coarser.lattice, -1.0)
+    def take_back(self) -> None:
+        """Undo the last correction."""
+        self.lattice.prolongate(self.coarser.lattice, -1.0)
 
-    def _light(self):
-        """Turn what the lattice is given into light."""
+    def _light(self) -> None:
+        """Solve for the light of the source that was restricted to this lattice."""
         if self.is_coarsest:
             self.lattice.advance(_ON_COARSEST)
             return
@@ -67,21 +81,21 @@ class Level:
         self.lattice.advance(_SMOOTHING)
 
 
-def shapes(shape):
-    """[(nx, ny, nz)] of all coarser lattices of a lattice."""
-    found = []
+def shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The shapes of all coarser lattices of a lattice."""
+    coarser = []
     while max(shape) > _SMALLEST:
         shape = tuple(-(-n // 2) for n in shape)
-        found.append(shape)
-    return found
+        coarser.append(shape)
+    return coarser
 
 
-def _mean(values):
-    """Of eight voxels each; beyond an odd edge there is nothing."""
+def _mean(values: Array) -> Floats:
+    """The means of eight voxels each; there is nothing beyond an odd edge."""
     return sum_of_eight(np.asarray(values, float)) / 8
 
 
-def _halved(occlusion, albedo):
+def _halved(occlusion: Floats | None, albedo: Any) -> tuple[Floats | None, Any]:
     """(occlusion, its albedo) in voxels twice as large."""
     if occlusion is None:
         return None, 0.0

@@ -1,27 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Voxels that are too thick for the lattice, divided, and light put together in them again.
+"""Voxels that are too thick for the lattice, divided before the solve and merged after it.
 
-docs/theory/physics.md, "Voxels that are too thick", says what was measured.
+docs/theory/physics.md, "Voxels that are too thick", has the measurements.
 """
 
 from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 
 from ...errors import MediumError
-from ..medium import repeated
+from ..field import Field
+from ..lights.base import Light
+from ..medium import Medium, repeated
 
-# Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
-# paths of scattering, and in diffusion lengths of absorption (docs/theory/physics.md says why).
+# The edge of a voxel, weighted by density, above which voxels are divided: in transport mean free
+# paths, and in diffusion lengths.
 _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_PIECES = 4
 
 
-def wished_pieces(medium):
-    """(pieces that better the light, pieces without which it would be wrong), along each edge.
+def wished_pieces(medium: Medium) -> tuple[int, int]:
+    """(pieces that improve the light, pieces without which it would be wrong), along each edge.
 
-    Depths count by the albedo, the share of light that the lattice carries.
+    Optical depths are weighted by the albedo, the share of light that the lattice carries.
+    Raises MediumError if the second number would be over 4.
     """
     density = medium.density.astype(float)
     mean = np.sum(density**2) / max(np.sum(density), np.finfo(float).tiny)
@@ -32,22 +36,22 @@ def wished_pieces(medium):
     dark = max(1, ceil(float(lengths.max()) / _DARKEST))
     if dark > _MOST_PIECES:
         raise MediumError(
-            f"The medium absorbs so strongly that light fades {lengths.max():.1f} times by a "
-            f"factor of e within a voxel; raise the resolution {ceil(dark / _MOST_PIECES)} times, "
-            "or lower the density."
+            f"The medium absorbs too strongly for its voxels, which are {lengths.max():.1f} "
+            f"diffusion lengths thick; raise the resolution {ceil(dark / _MOST_PIECES)} times, or "
+            "lower the density."
         )
     return max(thick, dark), dark
 
 
-def divided(light, pieces):
-    """A light for a medium of which each voxel is divided."""
+def divided(light: Light, pieces: int) -> Light:
+    """The light for a medium whose voxels are divided."""
     return light.with_shadow_density(lambda density: repeated(density, pieces))
 
 
-def merged(field, pieces):
-    """The field of a divided medium, in the voxels that it had before."""
+def merged(field: Field, pieces: int) -> Field:
+    """The field of a divided medium, in the medium's own voxels."""
 
-    def mean(values):
+    def mean(values: Any) -> Any:
         if values is None:
             return None
         *outer, nx, ny, nz = values.shape

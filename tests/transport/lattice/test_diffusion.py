@@ -35,7 +35,7 @@ class Layers(NumpyLattice):
         self.first, self.end = self.cells.first, self.cells.first + count
         self.used = slice(self.first - farthest, self.end + farthest)
 
-    def settle(self, power, place=0.0, direction=0.0):
+    def converge(self, power, place=0.0, direction=0.0):
         """Go to what steps tend to, by linear algebra. Each (count,) W/m^2 along the normal:
 
         power, power times place from the voxel's centre in transport mean free paths, and power
@@ -101,7 +101,7 @@ def test_light_diffuses_by_a_third_of_the_transport_mean_free_path(transport_dep
     distance = max(12, round(9 * np.linalg.norm(normal) / transport_depth))
     count = 2 * distance + 8
     depth = transport_depth / (1 - g)
-    layers = Layers(count, depth, albedo=1.0, g=g, normal=normal).settle(one_bright(count, 4))
+    layers = Layers(count, depth, albedo=1.0, g=g, normal=normal).converge(one_bright(count, 4))
     n = count // 2 + 2
     slope = np.diff(layers.fluence_by_layer()[[n - 1, n + 1]])[0] / 2
     expected = -slope * (layers.normal @ layers.normal) / (3 * transport_depth)
@@ -135,7 +135,7 @@ def test_light_of_a_layer_goes_as_far_on_the_lattice_as_in_nature(depth, albedo,
     """A third of <r^2> = 2 / (s_a s_tr) at absorption, counted between the layers' centres."""
     exact = 2 / (3 * depth**2 * (1 - albedo) * (1 - g * albedo))
     count = 2 * round(9 * np.sqrt(exact)) + 1
-    layers = Layers(count, depth, albedo, g).settle(one_bright(count, count // 2))
+    layers = Layers(count, depth, albedo, g).converge(one_bright(count, count // 2))
     light = layers.fluence_by_layer()
     place = np.arange(count) - count // 2
     assert (light @ place**2) / light.sum() == pytest.approx(exact, rel=0.003)
@@ -277,7 +277,7 @@ def test_absorption_times_fluence_is_what_a_step_absorbs():
 def test_light_from_the_depth_ends_two_thirds_of_a_free_path_outside(depth, count):
     """In Milne's problem, exactly .7104 transport mean free paths. That is not what is aimed at:
     see below."""
-    layers = Layers(count, depth, albedo=1.0).settle(one_bright(count, count - 3))
+    layers = Layers(count, depth, albedo=1.0).converge(one_bright(count, count - 3))
     place = (np.arange(count) + 0.5) * depth
     line = slice(count // 3, 2 * count // 3)
     slope, start = np.polyfit(place[line], layers.fluence_by_layer()[line], 1)
@@ -297,7 +297,7 @@ def slab(count, optical_depth, cosine, albedo=1.0, g=0.0):
     moved = power * (place - 0.5)
     turned = power * cosine * (g - peak) / (1 - peak)
     layers = Layers(count, depth, albedo, g)
-    layers.settle(power, place=depth * (1 - albedo * g) * moved, direction=turned)
+    layers.converge(power, place=depth * (1 - albedo * g) * moved, direction=turned)
     reflected, transmitted = layers.left()
     flux = layers.flux_by_layer() - moved + entering * mean
     return reflected, transmitted + entering[-1] * through[-1], flux
