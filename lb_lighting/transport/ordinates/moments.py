@@ -88,7 +88,8 @@ def way_of(beam: Light, domain: Domain) -> Floats:
         assert isinstance(beam, PunctualLight)
         way = np.moveaxis(domain.centers() - beam.position, -1, 0)
     length = np.linalg.norm(way, axis=0)
-    return np.divide(way, length, out=np.zeros(way.shape), where=length > 0)
+    directions: Floats = np.divide(way, length, out=np.zeros(way.shape), where=length > 0)
+    return directions
 
 
 def beside_beams(

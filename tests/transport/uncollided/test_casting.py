@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unscattered light against Beer and Lambert's law, the inverse square, a furnace, and photons."""
+"""Uncollided light against the Beer-Lambert law, the inverse square, a furnace, and photons."""
 
 from functools import cache
 
@@ -80,7 +80,7 @@ def samples(medium, per_edge):
 @on_every_device
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("forward", [True, False])
-def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
+def test_slabs_attenuate_by_the_beer_lambert_law(axis, forward, device):
     depth = np.array([0.3, 0, 1e-5, 2.0, 0.7, 8.0, 0.01])  # of the voxels, in the sun's way
     sigma, irradiance = 2.5, 3.0
     density = (depth if forward else depth[::-1]) / (sigma * H)
@@ -121,7 +121,7 @@ def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
 
 @on_every_device
 @pytest.mark.parametrize("direction", [(0.3, 0.2, -0.93), (1, 1, 1), (-1, 2, 0), (1, 0.3, -0.15)])
-def test_an_oblique_sun_fades_by_its_way_through_the_box(direction, device):
+def test_an_oblique_sun_is_attenuated_by_its_path_through_the_box(direction, device):
     medium, sigma = Medium(np.ones((6, 5, 4)), H, 1, 0), 3.0
     result = cast(medium, Sun(direction, 1.0), 0, sigma, device)
     toward = np.divide(direction, np.linalg.norm(direction))
@@ -352,7 +352,7 @@ def test_extremes_are_finite_and_conserve_energy(kind, depths, irradiance, devic
     assert result.direct.min() >= 0
     assert result.collided.power.min() >= 0
     assert accounted(result) == pytest.approx(result.entered, rel=1e-5)
-    # Also where next to nothing collides, or is left unscattered, the digits are there.
+    # Digits are kept where next to nothing collides, and where next to nothing is uncollided.
     expected = medium.density.astype(float) * result.direct
     tiny = 1e-37
     assert result.collided.power == pytest.approx(expected, rel=1e-5, abs=tiny)
