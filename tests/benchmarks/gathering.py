@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What light is off before and after it is gathered, by how many times, and what that takes.
+"""Error of light before and after source iteration, by the number of iterations, and their cost.
 
     python -m tests.benchmarks.gathering
 
