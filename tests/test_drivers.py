@@ -145,7 +145,7 @@ medium = Medium(np.ones((4, 4, 4)), 0.5, 0.5, 0.1, 0.7)
 lights = [Sun((0, 0.1, -1), 1.0), PointLight((1, 1, 5), 1.0)]
 planned = plan(medium, lights, "preview", "NumPy")
 field = solve(medium, lights, planned.settings, "NumPy")
-source_iteration.gather(medium, lights, field, "NumPy", 1)
+source_iteration.iterate(medium, lights, field, "NumPy", 1)
 trace(medium, lights, 1000, device="NumPy")
 next(pictures(medium, lights, View.onto(medium.domain, (0, 1, 0)), "NumPy"))
 statistics(medium, "NumPy")

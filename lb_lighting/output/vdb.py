@@ -15,8 +15,8 @@ import openvdb
 from ..errors import OutputError
 from ..transport.box import Box
 from ..transport.lights.distant import Sun
+from ..transport.ordinates.moments import beside_beams, of_lobes, way_of
 from ..transport.ordinates.quadrature import FACTORS
-from ..transport.ordinates.source_iteration import beside_beams, of_lobes, way_of
 
 LIGHT_GRID = "lb_light"
 AXES = ("X", "Y", "Z")

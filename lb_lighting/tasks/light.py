@@ -352,16 +352,19 @@ class Light:
         if self.options.quality == "preview":
             return 1
         budget = BUDGETS.get(self.options.quality, inf)
-        return source_iteration.TIMES if budget == inf else self._gathers_within(budget, problem)
+        return (
+            source_iteration.ITERATIONS if budget == inf else self._gathers_within(budget, problem)
+        )
 
     def _gathers_within(self, budget, problem):
         """How many times the light of a `Problem` is gathered within some seconds: once or more."""
         device = self.options.device or None
         once = source_iteration.seconds(problem.medium, problem.lights, device, 1)
-        times = min(max(int(budget / once), 1), source_iteration.TIMES)
-        if times < source_iteration.TIMES:
+        most = source_iteration.ITERATIONS
+        times = min(max(int(budget / once), 1), most)
+        if times < most:
             self.reader.notes.append(
-                f"Directions are gathered {times} of {source_iteration.TIMES} times, to end within "
+                f"Directions are gathered {times} of {most} times, to end within "
                 f"about {budget:.0f} s; choose Final to gather them all."
             )
         return times
@@ -405,7 +408,7 @@ class Light:
 
         start, device = perf_counter(), self.options.device or None
         medium, lights = problem.medium, problem.lights
-        field.scattered = source_iteration.gather(medium, lights, field, device, times, progress)
+        field.scattered = source_iteration.iterate(medium, lights, field, device, times, progress)
         field.report.seconds["gather"] = perf_counter() - start
 
     def _write(self, problem, lit, light, others, read, made_of):
@@ -438,7 +441,7 @@ def _text_of(settings):
 
 def _times(field):
     """How often the light of a `Field` was gathered."""
-    return 0 if field.scattered is None else field.scattered.times
+    return 0 if field.scattered is None else field.scattered.iterations
 
 
 def _bands(optics, lights, albedo, emission):

@@ -93,29 +93,29 @@ class Handed:
 
 
 @dataclass
-class Scattered:
-    """What the scattered light of all bands is scattered to again, over sigma_s; arrays float32.
+class ScatteringMoments:
+    """The in-scattered radiance of light that has scattered, over sigma_s; arrays are float32.
 
-    moments  (bands, 9, nx, ny, nz) W/m^2, its integrals times `directions.harmonics`, without
-             the lobes
-    lobes    (beams, bands, nx, ny, nz) W/m^2, light of a lobe of Henyey and Greenstein's shape
-             about the way of each beam: as much as all together has of third moments along these
-    g        (bands,) the mean cosine of the lobes
-    times    that light was gathered
+    moments     (bands, 9, nx, ny, nz) W/m^2, its integrals times `quadrature.harmonics`, without
+                the lobes
+    lobes       (beams, bands, nx, ny, nz) W/m^2, the light in a Henyey-Greenstein lobe about each
+                beam's direction; together the lobes have the third moments along these directions
+    g           (bands,) the mean cosine of the lobes
+    iterations  of the source iteration
     """
 
     moments: np.ndarray
     lobes: np.ndarray
     g: np.ndarray
-    times: int
+    iterations: int
 
     @classmethod
-    def dark(cls, bands, beams, shape, times):
+    def dark(cls, bands, beams, shape, iterations):
         return cls(
             np.zeros((bands, 9, *shape), np.float32),
             np.zeros((beams, bands, *shape), np.float32),
             np.zeros(bands),
-            times,
+            iterations,
         )
 
 
@@ -149,7 +149,7 @@ class Field:
     by_light: np.ndarray | None = None
     direct_flux: np.ndarray | None = None
     forward: np.ndarray | None = None
-    scattered: Scattered | None = None
+    scattered: ScatteringMoments | None = None
 
     def with_unscattered(self):
         """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What light is off before and after it is gathered, by how many times, and what that takes.
+"""Error of light before and after source iteration, by the number of iterations, and their cost.
 
     python -m tests.benchmarks.gathering
 
@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from lb_lighting.transport import Settings, device, solve
-from lb_lighting.transport.ordinates.source_iteration import FORWARDS, gather, seconds
+from lb_lighting.transport.ordinates.source_iteration import MIN_ANISOTROPY, iterate, seconds
 from tests.benchmarks.media import trade_cases
 from tests.benchmarks.references import References
 from tests.benchmarks.table import publish
@@ -38,7 +38,7 @@ def row(case, wanted):
 
     found = {"medium": case.name, "reference": wanted.error, "lattice": error(field.fluence[0])}
     for times in TIMES:
-        scattered, taken = timed(lambda times=times: gather(medium, lights, field, times=times))
+        scattered, taken = timed(lambda n=times: iterate(medium, lights, field, iterations=n))
         lobes = scattered.lobes[:, 0].sum(axis=0)
         found[f"x {times}"] = error(np.sqrt(4 * np.pi) * scattered.moments[0, 0] + lobes)
         if times == 4:
@@ -49,5 +49,5 @@ def row(case, wanted):
 
 if __name__ == "__main__":
     known = References("trade")
-    cases = [case for case in trade_cases() if case.medium.g[0] >= FORWARDS]
+    cases = [case for case in trade_cases() if case.medium.g[0] >= MIN_ANISOTROPY]
     publish("gathering", device.choose().label, [row(case, known[case]) for case in cases])

@@ -16,7 +16,7 @@ import numpy as np
 
 from lb_lighting.transport import Settings, device, solve, trace
 from lb_lighting.transport.lights import distant, lamps
-from lb_lighting.transport.lights.sampling import strata
+from lb_lighting.transport.lights.sampling import r_sequence
 from tests.benchmarks.columns import all_light
 from tests.benchmarks.media import main_cases
 from tests.benchmarks.table import publish
@@ -83,8 +83,8 @@ def trace_rows(case):
 def traced(case, way, photons, seed):
     """(relative noise of the scattered light in L2, seconds of the processor) of a trace."""
     last = 1 + round(HANDOVER / (1 - float(case.medium.albedo[0] * case.medium.g[0])))
-    draw = strata if way.even else at_random
-    with patch.object(lamps, "strata", draw), patch.object(distant, "strata", draw):
+    draw = r_sequence if way.even else at_random
+    with patch.object(lamps, "r_sequence", draw), patch.object(distant, "r_sequence", draw):
         start = process_time()
         result = trace(case.medium, case.lights, photons, seed=seed, handover=last, **way.arguments)
         seconds = process_time() - start
@@ -93,7 +93,7 @@ def traced(case, way, photons, seed):
 
 
 def at_random(count, dimensions, rng):
-    """As `spread.strata`, but independent points. They ascend as those do, for the caches."""
+    """As `sampling.r_sequence`, but independent points. They ascend as those do, for the caches."""
     points = rng.random((dimensions, count))
     points[0].sort()
     return points

@@ -30,7 +30,7 @@ from lb_lighting.output.volume import (
     show_volume,
     sources_of,
 )
-from lb_lighting.transport.field import Field, Report, Scattered
+from lb_lighting.transport.field import Field, Report, ScatteringMoments
 from lb_lighting.transport.lights.distant import Sky, Sun
 from lb_lighting.transport.lights.lamps import PointLight
 from lb_lighting.transport.medium import Domain, Medium
@@ -180,7 +180,7 @@ class TestVolumeLight:
         field.direct_flux[:, 2] = -2.1  # the sun's; the skies' light has none
         moments = np.arange(9.0).reshape(9, 1, 1, 1) + np.ones((2, 9, *self.SHAPE[1:]))
         lobes = 0.25 * np.ones((1, *self.SHAPE))
-        field.scattered = Scattered(moments, lobes, np.full(2, 0.6), 4)
+        field.scattered = ScatteringMoments(moments, lobes, np.full(2, 0.6), 4)
         lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
         light, others, beams = volume_light(field, lights, mode, g=0.85)
         assert beams == [self.LIGHTS[0]]

@@ -120,7 +120,7 @@ def test_few_voxels_and_empty_ones(device, shape, density):
 @on_every_device
 def test_gathering_without_beams(device):
     lit = solve(medium(), [Sky(1.0)], Settings(), device)
-    found = source_iteration.gather(medium(), [Sky(1.0)], lit, device, 1)
+    found = source_iteration.iterate(medium(), [Sky(1.0)], lit, device, 1)
     assert found.lobes.shape[0] == 0
     assert np.isfinite(found.moments).all()
     assert found.moments[0, 0].max() > 0

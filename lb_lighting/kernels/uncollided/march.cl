@@ -1,26 +1,27 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Rays of lamps go from voxel to voxel (Amanatides and Woo 1987) and leave what collides on the way.
-// transport/uncollided/march.py has the twin. Built behind uncollided/attenuation.cl, with
-//   OCCLUDED    voxels stop light, and reflect some of it
+// Rays of lamps travel from voxel to voxel (Amanatides and Woo 1987) and score their first
+// collisions; transport/uncollided/march.py is the twin. Built after attenuation.cl, with
+//   OCCLUDED    opaque matter in voxels stops light and reflects part of it
 //
-// Lengths are in voxel edges, and places run along the ray: from 0 where a ray that goes this way
-// enters a voxel to 1 where it leaves, by axis, in each voxel anew, so that rounding does not grow
-// with the way. Tallies are signed whole numbers of 64 bits in two words of 32, which every device
-// can add atomically: a sum does not depend on the order. All lower words come first in memory.
+// Lengths are in voxel edges. A ray's place in a voxel runs along each axis from 0 where a ray of
+// this direction enters to 1 where it leaves; it starts again in each voxel, so rounding errors do
+// not grow along the ray. Tallies are signed 64-bit integers in two words of 32 bits, which every
+// device can add atomically, so sums do not depend on the order. All lower words come first in
+// memory.
 
-#define UNIT 0x1p30f     // in a weight of 1; a voxel's diagonal still fits a signed word
-#define FAINTEST 0x1p-32f // a weight of which no score is a unit any more
-#define SLOWEST 1e-18f   // a direction's component closer to zero than this is taken for this
+#define UNIT 0x1p30f     // units in a weight of 1; a voxel's diagonal still fits a signed word
+#define FAINTEST 0x1p-32f // weights below this score no unit
+#define SLOWEST 1e-18f   // components of a direction closer to zero are replaced by this
 
-// What a voxel's tallies count. A score is the length of unscattered light's paths, or where a
-// voxel's edge is deeper than 1, the weight that collides; they differ by that depth.
+// The kinds of a voxel's tallies. A score is the path length of uncollided light; or, if the edge
+// of the voxel is deeper than 1, the weight that collides: the path length times that depth.
 #define SCORE 0
-#define POSITION 1  // three: score and place of the collisions from the voxel's centre
-#define DIRECTION 4 // three: score and direction
+#define POSITION 1  // three: score times place of the collisions, relative to the voxel's centre
+#define DIRECTION 4 // three: score times direction
 #define TALLIES 7
 
-// What a work-item counts for all its rays.
-#define STOPPED 6 // behind the light that left through the faces -x, +x, -y, +y, -z, +z
+// The sums of a work-item over all its rays.
+#define STOPPED 6 // after the light that left through the faces -x, +x, -y, +y, -z, +z
 #define SUMS 7
 
 static void add(volatile __global uint *tally, const size_t upper, const float weight)
@@ -46,20 +47,20 @@ static long in_units(const float weight)
     return convert_long_rte(weight * UNIT);
 }
 
-// Where a ray is after a step along an axis; `rest` keeps what rounding lost (Kahan 1965), as a ray
-// that is nearly parallel to a border takes hundreds of steps to cross it.
-static float moved(const float place, const float step, float *rest)
+// The place of a ray after a step along an axis. Kahan summation (1965), with the rounding error in
+// `error`: a ray that is nearly parallel to a face takes hundreds of steps to reach it.
+static float moved(const float place, const float step, float *error)
 {
-    const float whole = step + *rest, next = place + whole;
-    *rest = whole - (next - place);
+    const float corrected = step + *error, next = place + corrected;
+    *error = corrected - (next - place);
     return fmin(next, 1.0f);
 }
 
-// depth       of a voxel's edge, by voxel
-// occlusion   share of the light arriving at a voxel that it stops, where OCCLUDED
-// reflecting  share that it reflects
+// depth       optical depth of a voxel's edge, by voxel
+// occlusion   if OCCLUDED: share of the arriving light that opaque matter in a voxel stops
+// reflecting  if OCCLUDED: share of the arriving light that it reflects
 // rays        7 x count: place in the first voxel, unit direction, weight from 0 to 1
-// starts      2 x count: first voxel; the face of the domain that a ray comes through, or -1
+// starts      2 x count: first voxel; the face of the domain through which a ray enters, or -1
 __kernel void march(const int nx, const int ny, const int nz, __global const float *depth,
                     __global const float *occlusion, __global const float *reflecting,
                     __global const float *rays, __global const int *starts, const int count,
@@ -84,7 +85,7 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
         int ahead_z = dz < 0 ? k : nz - 1 - k;
         const int next_x = dx < 0 ? -ny * nz : ny * nz, next_y = dy < 0 ? -nz : nz;
         const int next_z = dz < 0 ? -1 : 1;
-        float weight = rays[6 * count + ray], rest_x = 0.0f, rest_y = 0.0f, rest_z = 0.0f;
+        float weight = rays[6 * count + ray], error_x = 0.0f, error_y = 0.0f, error_z = 0.0f;
 #ifdef OCCLUDED
         const int face = starts[count + ray];
         if (face >= 0) {
@@ -95,16 +96,17 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
             weight -= stopped;
         }
 #endif
-        int through = -1; // the face that it leaves by
-        while (through < 0) {
+        int exit_face = -1; // of the domain
+        while (exit_face < 0) {
             const float tx = (1.0f - x) * ix, ty = (1.0f - y) * iy, tz = (1.0f - z) * iz;
             const float way = fmin(tx, fmin(ty, tz));
             const float edge = depth[voxel];
-            const Fade f = fade(edge * way);
+            const Attenuation a = attenuate(edge * way);
             __global uint *tally = tallies + TALLIES * (size_t)voxel;
-            const float total = weight * (edge > 1.0f ? 1.0f - f.through : way * f.mean);
-            const float placed = total * way * f.place;
-            weight *= f.through;
+            const float total
+                = weight * (edge > 1.0f ? 1.0f - a.transmittance : way * a.mean_transmittance);
+            const float placed = total * way * a.collision_place;
+            weight *= a.transmittance;
             add(tally + SCORE, upper, total);
             if (edge > 0.0f) {
                 add(tally + POSITION, upper, sx * (total * (x - 0.5f) + placed * ax));
@@ -115,14 +117,14 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
             if (weight < FAINTEST)
                 break;
             const int by_x = way == tx, by_y = !by_x && way == ty, by_z = !by_x && !by_y;
-            x = by_x ? 1.0f : moved(x, way * ax, &rest_x);
-            y = by_y ? 1.0f : moved(y, way * ay, &rest_y);
-            z = by_z ? 1.0f : moved(z, way * az, &rest_z);
+            x = by_x ? 1.0f : moved(x, way * ax, &error_x);
+            y = by_y ? 1.0f : moved(y, way * ay, &error_y);
+            z = by_z ? 1.0f : moved(z, way * az, &error_z);
             ahead_x -= by_x;
             ahead_y -= by_y;
             ahead_z -= by_z;
             if (min(ahead_x, min(ahead_y, ahead_z)) < 0) {
-                through = by_x ? dx >= 0 : by_y ? 2 + (dy >= 0) : 4 + (dz >= 0);
+                exit_face = by_x ? dx >= 0 : by_y ? 2 + (dy >= 0) : 4 + (dz >= 0);
                 break;
             }
             const int next = voxel + (by_x ? next_x : by_y ? next_y : next_z);
@@ -134,13 +136,13 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
                 weight -= stopped;
             }
 #endif
-            x = by_x ? rest_x = 0.0f : x;
-            y = by_y ? rest_y = 0.0f : y;
-            z = by_z ? rest_z = 0.0f : z;
+            x = by_x ? error_x = 0.0f : x;
+            y = by_y ? error_y = 0.0f : y;
+            z = by_z ? error_z = 0.0f : z;
             voxel = next;
         }
         for (int n = 0; n < 6; n++)
-            sum[n] += n == through ? in_units(weight) : 0;
+            sum[n] += n == exit_face ? in_units(weight) : 0;
     }
     for (int n = 0; n < SUMS; n++)
         sums[SUMS * get_global_id(0) + n] += sum[n];

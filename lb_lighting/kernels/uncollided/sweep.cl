@@ -1,29 +1,30 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Parallel light through voxels, layer by layer; transport/uncollided/sweep.py is the twin. Built behind uncollided/attenuation.cl,
-// with
-//   DIRECTED    beams have different directions: tally these, too
-//   OCCLUDED    voxels stop light, and reflect some of it
-//   EMITTING    rays start empty and gather the light of the voxels
-//   APART       each beam gathers a light of its own, and scores by itself; where nothing is OCCLUDED
+// Parallel beams through voxels, layer by layer; transport/uncollided/sweep.py is the twin. Built
+// after attenuation.cl, with
+//   DIRECTED    beams have different directions, which are tallied, too
+//   OCCLUDED    opaque matter in voxels stops light and reflects part of it
+//   EMITTING    rays start with a weight of 0 and gain the emission of the voxels
+//   APART       each beam has an emission and a score to itself; not with OCCLUDED
 //
-// Several beams are sent at once, all from the same side. Each voxel's column has `count` rays of
-// each beam, and in a layer those of one number all cross voxels alike: on their way through the
-// layer they start in a voxel, and may cross to the next along u, or v, or both, one behind the
-// other. Voxels are counted along the beam, so backwards where it goes to lower ones.
+// Several beams are sent at once, all from the same side. Each column of voxels has `count` rays of
+// each beam. In a layer, all rays of one number cross voxels alike: each starts in a voxel and may
+// cross to the next voxel along u, along v, or along both, one after the other. Voxels are counted
+// in the direction of the beam.
 //
-// sizes  nu, nv; the first voxel of the box along u and v, and how many it has; beside, count
-// layer  its number; that in the box, counted from 1, as `matter` has it: 0 and more than there are
-//        outside; layers of the box; 1 in the first layer that light comes to; to the next one of
-//        `matter`, 1, -1 or 0
-// beams  by beam: share; du, dv, dw >= 0; 1 where it goes backwards along u, and along v; score of
-//        a voxel that nothing has met; 1 where it goes backwards along w
-// ways   by beam and number, in a layer: voxels along u and v from the ray's column to the voxel
-//        that it starts in, where it starts there, the lengths in up to three voxels, and the order
-//        of crossings
-// windows  by beam, in a layer: where rays may have met anything, along u and v
-// matter  depth of a voxel's edge, glow from 0 to 1 (of each beam where they are APART), shares of
-//        light that are stopped and reflected, one `bordered` behind the other: of the layers of the
-//        box, with an empty border
+// sizes  nu, nv; the first voxel of the box along u and v, and its size along these; beside, the
+//        columns before the domain in which rays start; count
+// layer  its number in the domain; its number in `matter`, from 1 to the number of layers of the
+//        box, and outside the box 0 or one more than that; layers of the box; 1 for the first layer
+//        that light reaches; the step to the next layer's number in `matter`, 1, -1 or 0
+// beams  by beam: share; du, dv, dw >= 0; 1 if it is backward along u, and along v; the score of a
+//        voxel that unattenuated rays cross; 1 if it is backward along w
+// ways   by beam and number, the rays' paths in a layer: voxels along u and v from a ray's column
+//        to the voxel in which it starts; its place there; the lengths in up to three voxels; and
+//        the order of crossings
+// windows  by beam, the columns of a layer, along u and v, that attenuated rays may reach
+// matter  optical depth of a voxel's edge, emission from 0 to 1 (if APART: of each beam), shares of
+//        the light that are stopped and reflected; each of `bordered` values, the layers of the box
+//        with an empty border
 
 #define NONE 0
 #define U 1
@@ -55,32 +56,33 @@ typedef struct {
 static Voxel look(__global const float *matter, const ulong bordered, const ulong at,
                   const ulong glow)
 {
-    Voxel found = {matter[at], 0.0f, 0.0f, 0.0f};
+    Voxel voxel = {matter[at], 0.0f, 0.0f, 0.0f};
 #ifdef EMITTING
-    found.glow = matter[at + glow * bordered];
+    voxel.glow = matter[at + glow * bordered];
 #endif
 #ifdef OCCLUDED
-    found.stopping = matter[at + 2 * bordered];
-    found.reflecting = matter[at + 3 * bordered];
+    voxel.stopping = matter[at + 2 * bordered];
+    voxel.reflecting = matter[at + 3 * bordered];
 #endif
-    return found;
+    return voxel;
 }
 
-// What is left of a ray behind some way in a voxel that it comes to.
+// The weight of a ray after a path of length `way` in a voxel that it enters.
 static float behind(float weight, const Voxel voxel, const float way)
 {
 #ifdef OCCLUDED
     weight *= 1.0f - voxel.stopping;
 #endif
 #ifdef EMITTING
-    const Fade f = fade(voxel.depth * way);
-    return weight * f.through + voxel.glow * way * f.mean;
+    const Attenuation a = attenuate(voxel.depth * way);
+    return weight * a.transmittance + voxel.glow * way * a.mean_transmittance;
 #else
     return weight * exp(-voxel.depth * way);
 #endif
 }
 
-// Add what a ray that comes with `weight` to a place in a voxel leaves on some way in it.
+// Add the score of a ray that enters a voxel with `weight` at a place (u, v, w), on a path of
+// length `way` in it.
 static void cross(Tally *sum, float weight, const Voxel voxel, const float way, const float u,
                   const float v, const float w, const float du, const float dv, const float dw)
 {
@@ -88,18 +90,18 @@ static void cross(Tally *sum, float weight, const Voxel voxel, const float way, 
     weight *= 1.0f - voxel.stopping;
 #endif
     const float edge = voxel.depth, t = edge * way;
-    const Fade f = fade(t);
-    float total = weight * (edge > 1.0f ? 1.0f - f.through : way * f.mean);
-    float placed = total * way * f.place;
-    weight *= f.through;
+    const Attenuation a = attenuate(t);
+    float total = weight * (edge > 1.0f ? 1.0f - a.transmittance : way * a.mean_transmittance);
+    float placed = total * way * a.collision_place;
+    weight *= a.transmittance;
 #ifdef EMITTING
-    // Of what starts on the way: the share 1 - mean collides, further on.
-    const float fresh = voxel.glow * way;
-    const float own = fresh * (edge > 1.0f ? 1.0f - f.mean : way * f.lost);
-    total += own;
-    placed += own * way * (t < 0.1f ? 2 / 3.0f - t * (1 / 36.0f - t * (1 / 540.0f))
-                                    : (0.5f - f.mean * f.place) / (1.0f - f.mean));
-    weight += fresh * f.mean;
+    // Light emitted along the path: the share 1 - mean_transmittance collides, further along.
+    const float emitted = voxel.glow * way, mean = a.mean_transmittance;
+    const float score = emitted * (edge > 1.0f ? 1.0f - mean : way * a.source_score);
+    total += score;
+    placed += score * way * (t < 0.1f ? 2 / 3.0f - t * (1 / 36.0f - t * (1 / 540.0f))
+                                      : (0.5f - mean * a.collision_place) / (1.0f - mean));
+    weight += emitted * mean;
 #endif
     sum->score += total;
     sum->u += total * (u - 0.5f) + placed * du;
@@ -112,7 +114,7 @@ static void cross(Tally *sum, float weight, const Voxel voxel, const float way, 
     const int8 sizes, const int8 layer, const int beams_sent, const ulong bordered,        \
         __global const float *matter, __global const float *beams,                         \
         __global const float *ways, __global const int *windows
-// Of a voxel in the layer, and so many voxels further along the beam
+// The voxel at a step from the voxel `here_at`, in the direction of the beam
 #define LOOK(along_u, along_v)                                                             \
     look(matter, bordered, here_at + (along_u) * next_u + (along_v) * next_v, GLOW_OF(beam))
 #define HERE(u, v)                                                                         \
@@ -122,7 +124,7 @@ static void cross(Tally *sum, float weight, const Voxel voxel, const float way, 
 #define RAY(beam, n, u, v)                                                                 \
     (((size_t)((beam) * COUNT + (n)) * (NU + BESIDE) + (u) + BESIDE) * (NV + BESIDE) + (v) + BESIDE)
 
-// The score of a voxel in a layer without matter, from the rays of a beam that have left it behind.
+// The score of a voxel in a layer without matter, from the attenuated rays of a beam.
 static float crossed(__global const float *rays, __global const float *ways, const int8 sizes,
                      const int beam, const int u, const int v)
 {
@@ -140,12 +142,12 @@ static float crossed(__global const float *rays, __global const float *ways, con
     return score;
 }
 
-// tallies    score, one `voxels` behind the other, and where DIRECTED that times the direction along
-//            w, u and v; where APART the score of each beam, and nothing else is tallied
-// inside     of the box, one `inner` behind the other: score times the place from the voxel's
-//            centre along w, u and v; where OCCLUDED what is reflected into it
-// sums       by column, one behind the other: what is reflected out of the domain through the faces
-//            -w, +w, -u, +u, -v, +v; what is stopped
+// tallies    of `voxels` values each: the score and, if DIRECTED, the score times the direction
+//            along w, u and v; if APART, only the score of each beam
+// inside     of `inner` values each, of the box: the score times the place relative to the voxel's
+//            centre along w, u and v; if OCCLUDED, the light reflected into the voxel
+// sums       by column, if OCCLUDED: the light reflected out of the domain through the faces
+//            -w, +w, -u, +u, -v, +v; the light absorbed by opaque matter
 __kernel void tally(LAYER, __global const float *rays, __global float *tallies, const ulong voxels,
                     __global float *inside, __global float *sums)
 {
@@ -158,14 +160,14 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
     const int matters = layer.s1 >= 1 && layer.s1 <= layer.s2;
     int back_w = 0;
     for (int beam = 0; beam < beams_sent; beam++) {
-        __global const float *facts = beams + BEAMS * beam;
-        const float share = facts[0], du = facts[1], dv = facts[2], dw = facts[3];
-        const int2 backward = {(int)facts[4], (int)facts[5]};
+        __global const float *constants = beams + BEAMS * beam;
+        const float share = constants[0], du = constants[1], dv = constants[2], dw = constants[3];
+        const int2 backward = {(int)constants[4], (int)constants[5]};
         const int u = backward.x ? NU - 1 - column_u : column_u;
         const int v = backward.y ? NV - 1 - column_v : column_v;
         __global const int *window = windows + 4 * beam;
-        Tally sum = {facts[6], 0.0f, 0.0f, 0.0f, 0.0f};
-        back_w = (int)facts[7];
+        Tally sum = {constants[6], 0.0f, 0.0f, 0.0f, 0.0f};
+        back_w = (int)constants[7];
         const int met = u >= window[0] && u < window[1] && v >= window[2] && v < window[3];
         if (met && !matters)
             sum.score = crossed(rays, ways, sizes, beam, u, v);
@@ -271,12 +273,12 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
 #endif
 }
 
-// What is left of the rays behind the layer; over those that start in the box, or in the row before.
+// The weights of rays after the layer, of rays that start in the box or in the row before it.
 __kernel void pass(LAYER, __global float *rays)
 {
     const int ray = (int)get_global_id(2), beam = ray / COUNT;
-    __global const float *facts = beams + BEAMS * beam, *way = ways + WAYS * ray;
-    const int2 backward = {(int)facts[4], (int)facts[5]};
+    __global const float *constants = beams + BEAMS * beam, *way = ways + WAYS * ray;
+    const int2 backward = {(int)constants[4], (int)constants[5]};
     const int first_u = backward.x ? NU - sizes.s2 - sizes.s4 : sizes.s2;
     const int first_v = backward.y ? NV - sizes.s3 - sizes.s5 : sizes.s3;
     const int u = first_u - 1 + (int)get_global_id(1), v = first_v - 1 + (int)get_global_id(0);

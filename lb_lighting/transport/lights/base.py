@@ -27,15 +27,15 @@ class Light(ABC):
     """What lights a medium. Subclasses need `spectrum` and `emit`; other members have defaults.
 
     Lights are values: they do not change, and methods that alter one return another light.
-    A light whose uncollided light can be followed without random numbers derives from
-    `DistantLight` or `LocalLight`.
+    Derive from `DistantLight` or `LocalLight` to give a light beams or rays that are regular
+    instead of random: the error of its uncollided light is much smaller then.
     """
 
     is_beam: ClassVar[bool] = False
     """Whether the uncollided light in each voxel comes from a single direction."""
 
     shadow_density: Floats | None = None
-    """(nx, ny, nz), replaces the medium's density for the uncollided light; or None."""
+    """(nx, ny, nz), replaces the medium's density for this light's uncollided light; or None."""
 
     @property
     @abstractmethod
@@ -71,7 +71,7 @@ class Light(ABC):
         return float(power.max()), ((origins[n], directions[n], power[n]) for n in pieces)
 
     def parts(self) -> Sequence["Light"]:
-        """Lights that add up to this one and are followed one by one."""
+        """Lights that add up to this one; each gets a cast of its rays or beams."""
         return [self]
 
     def with_shadow_density(self, change: Callable[[Floats], Floats]) -> Self:
@@ -79,8 +79,8 @@ class Light(ABC):
         return self
 
     def softness(self, domain: Domain) -> Floats | None:
-        """(nx, ny, nz), the uncollided light in each voxel relative to the light that `rays` and
-        `emit` stand for; None if that is 1 everywhere."""
+        """(nx, ny, nz), the share of the uncollided light of `rays` that counts in each voxel; None
+        if all of it does."""
         return None
 
     def is_soft_within(self, domain: Domain) -> bool:
@@ -93,7 +93,7 @@ class Light(ABC):
 
 
 class DistantLight(Light):
-    """A light that is followed as parallel beams: it comes from far away or from everywhere."""
+    """A light that comes from far away or from everywhere: it is cast as parallel beams."""
 
     @abstractmethod
     def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
@@ -106,8 +106,10 @@ class DistantLight(Light):
 
 
 class LocalLight(Light):
-    """A lamp: a light of a finite power in W, at a finite distance. Its rays are regular: at least
-    about per_edge^2 of them cross each voxel that the light reaches."""
+    """A lamp: its `spectrum` is a power in W, and its rays are regular.
+
+    About per_edge^2 or more of them cross each voxel that the light reaches.
+    """
 
     @abstractmethod
     def rays(self, medium: Medium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light from far away: suns and skies."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import Any, Self
 
 import numpy as np
 
+from ...arrays import Floats, Spectrum, Vector
 from ...errors import LightError
-from ..medium import LARGEST
+from ..medium import LARGEST, Medium
 from .base import (
+    Directional,
     DistantLight,
+    Photons,
     by_band,
     check_direction,
     check_energy,
@@ -25,18 +29,19 @@ from .sampling import (
     face_areas,
     in_cells,
     intervals,
-    pick,
     points_on_faces,
-    strata,
+    r_sequence,
+    sample_discrete,
     tilted,
     turned_to,
 )
 
-# Share of the photons of a sky that is a function which are spread over all of it, so that what its
-# cells miss is lit.
+# Share of the photons of a sky given as a function that is distributed evenly over the sky, so that
+# light which the centres of its cells miss is sampled, too.
 _ANYWHERE = 0.1
-# Of a sky: how many suns stand for it, by per_edge^2; and the per_edge of these, where the domain
-# has few voxels along its edge. Where it has more, a single one matters less, and rays are many.
+# Of a sky: the number of suns that stand for it, over per_edge^2; and the per_edge of each, if no
+# edge of the domain has more than FEW_VOXELS voxels. Larger domains need fewer rays of each sun, as
+# a single voxel matters less.
 _SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 
 
@@ -44,21 +49,21 @@ _SUNS, _SUN_PER_EDGE, FEW_VOXELS = 2.5, 2, 48
 class Sun(DistantLight):
     """Parallel light from far away.
 
-    direction   (3,), the way the light travels; any length but 0
-    irradiance  W/m^2 on a surface that faces it, scalar or (bands,)
-    shadow_density  (nx, ny, nz) or None: what stands in for the medium's density where this light
-                has not scattered yet. The density is a mean over directions; leaves that lie flat
-                stop more than that of a sun above them, and less of one at the horizon. Photons
-                do not know of it: where light is traced, the medium's own density counts
+    direction   (3,), the direction of travel; any length but 0
+    irradiance  W/m^2 on a surface that faces the sun, scalar or (bands,)
+    shadow_density  (nx, ny, nz), replaces the medium's density for this sun's uncollided light; or
+                None. The medium's density is a mean over directions: horizontal leaves block more
+                of a sun overhead and less of a sun at the horizon. Photons ignore it: traced light
+                meets the medium's own density
     """
 
     is_beam = True
 
-    direction: tuple
-    irradiance: tuple | float
-    shadow_density: np.ndarray | None = field(default=None, compare=False, repr=False)
+    direction: Vector
+    irradiance: Spectrum
+    shadow_density: Floats | None = field(default=None, compare=False, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.shadow_density is not None:
             density = np.asarray(self.shadow_density, np.float32)
             if not np.all((density >= 0) & (density <= LARGEST)):
@@ -68,28 +73,28 @@ class Sun(DistantLight):
         check_energy(self.irradiance, "irradiance of a sun")
 
     @property
-    def spectrum(self):
+    def spectrum(self) -> Spectrum:
         """The irradiance, scalar or (bands,)."""
         return self.irradiance
 
-    def emit(self, count, medium, rng, band):
-        """Photons on the lit faces, all of the same power: exactly the irradiance times the
-        area that the domain shows to the sun."""
+    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+        """Photons on the lit faces, all of the same power: their sum is exactly the irradiance
+        times the area of the domain as seen from the sun."""
         irradiance = by_band(self.irradiance, medium.bands)[band]
-        across, along = strata(count, 2, rng)
+        across, along = r_sequence(count, 2, rng)
         toward = np.divide(self.direction, np.linalg.norm(self.direction))
         directions = np.tile(toward, (count, 1))
         origins = entry_points(medium.domain, directions, across, along)
-        shown = np.abs(toward) @ face_areas(medium.domain)
-        return origins, directions, np.full(count, irradiance * shown / count)
+        seen_area = np.abs(toward) @ face_areas(medium.domain)
+        return origins, directions, np.full(count, irradiance * seen_area / count)
 
-    def suns(self, medium, band, per_edge):
+    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
         """Its unit direction, (1, 3); its irradiance, (1,) W/m^2; per_edge."""
-        toward = np.divide([self.direction], np.linalg.norm(self.direction))
+        toward = np.divide(np.array([self.direction]), np.linalg.norm(self.direction))
         return toward, by_band(self.irradiance, medium.bands)[[band]], per_edge
 
-    def with_shadow_density(self, change):
-        """As of `Light`."""
+    def with_shadow_density(self, change: Callable[[Floats], Floats]) -> Self:
+        """The same sun after `change` of its shadow density, if it has one."""
         if self.shadow_density is None:
             return self
         return replace(self, shadow_density=change(self.shadow_density))
@@ -97,26 +102,26 @@ class Sun(DistantLight):
 
 @dataclass(frozen=True)
 class Sky(DistantLight):
-    """Light from everywhere outside.
+    """Light from all directions outside.
 
-    radiance  W/(m^2 sr), scalar or (bands,), or a function that takes the unit vector (3,)
-              towards the sky and returns that, a scalar everywhere or (bands,) everywhere.
-              `emit` is many times faster where the function also takes vectors (n, 3) and
-              returns (n,) or (n, bands), as in lambda towards: towards[..., 2] > 0
+    radiance  W/(m^2 sr), scalar or (bands,); or a function that takes the unit vector (3,) towards
+              the sky and returns that: a scalar for all directions or (bands,) for all. `emit` is
+              many times faster if the function also takes vectors (n, 3) and returns (n,) or
+              (n, bands), as in lambda towards: towards[..., 2] > 0
     """
 
-    radiance: tuple | float | Callable
+    radiance: Spectrum | Directional
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not callable(self.radiance):
             check_energy(self.radiance, "radiance of the sky")
 
     @property
-    def spectrum(self):
-        """The radiance, scalar or (bands,), or the function that it is."""
+    def spectrum(self) -> Spectrum | Directional:
+        """The radiance, scalar or (bands,), or as a function."""
         return self.radiance
 
-    def towards(self, direction):
+    def towards(self, direction: Vector) -> Any:
         """The radiance, W/(m^2 sr), that arrives from `direction` ((3,), pointing at the sky)."""
         if not callable(self.radiance):
             return self.radiance
@@ -124,122 +129,146 @@ class Sky(DistantLight):
         check_energy(radiance, "radiance of the sky")
         return radiance
 
-    def seen(self, bands):
-        """A function of unit vectors towards it, (n, 3), to its radiance, (n, bands) W/(m^2 sr)."""
+    def seen(self, bands: int) -> Callable[[Floats], Floats]:
+        """A function of unit vectors towards the sky, (n, 3), that returns the radiance,
+        (n, bands) W/(m^2 sr)."""
         if not callable(self.radiance):
-            radiance = by_band(self.radiance, bands)
-            return lambda towards: np.tile(radiance, (len(towards), 1))
-        look = _over_directions(self.radiance, cell_centers())
+            uniform = by_band(self.radiance, bands)
+            return lambda towards: np.tile(uniform, (len(towards), 1))
+        radiance_of = _over_directions(self.radiance, cell_centers())
 
-        def radiances(towards):
-            radiance = look(towards)
+        def radiances(towards: Floats) -> Floats:
+            radiance = radiance_of(towards)
             return np.stack([of_band(radiance, bands, n) for n in range(bands)], axis=1)
 
         return radiances
 
-    def emit(self, count, medium, rng, band):
-        """Photons on all faces. Those of a uniform sky have the same power, exactly pi times
-        radiance times surface in all; those of a function have power as it shines, and are
-        more where it shines brighter."""
+    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+        """Photons on all faces.
+
+        Those of a uniform sky have the same power: their sum is exactly pi times radiance times
+        surface. The photons of a function are sampled by its brightness (importance sampling) and
+        weighted.
+        """
         if callable(self.radiance):
-            return self._emit_by_brightness(count, medium, rng, band)
+            return self._emit_by_brightness(self.radiance, count, medium, rng, band)
         radiance = by_band(self.radiance, medium.bands)[band]
-        across, along, tilt, turn = strata(count, 4, rng)
+        across, along, tilt, turn = r_sequence(count, 4, rng)
         areas = face_areas(medium.domain)
-        axis, rest = pick(intervals(areas), across)
-        upper = rest >= 0.5  # half the area across an axis is the face on its lower side
-        origins = points_on_faces(medium.domain, axis, upper, 2 * rest - upper, along)
+        axis, place = sample_discrete(intervals(areas), across)
+        upper = place >= 0.5  # half the area across an axis is the face on its lower side
+        origins = points_on_faces(medium.domain, axis, upper, 2 * place - upper, along)
         inwards = tilted(1 - np.sqrt(1 - tilt), turn)  # Lambert: the squared cosine is uniform
         inwards[:, 0] *= 1 - 2 * upper
         power = np.pi * radiance * 2 * areas.sum() / count
         return origins, turned_to(inwards, axis), np.full(count, power)
 
-    def suns(self, medium, band, per_edge):
-        """A sun in each of SUNS per_edge^2 directions, more where the sky is brighter.
+    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
+        """Suns in _SUNS per_edge^2 directions, denser where the sky is brighter.
 
-        Returns the unit directions in which their light goes, (n, 3); their irradiance, (n,) W/m^2;
-        the rays of each along a voxel's edge.
+        Returns the unit directions of travel, (n, 3); their irradiance, (n,) W/m^2; the rays of
+        each along a voxel's edge.
         """
         count = ceil(_SUNS * per_edge**2)
         if callable(self.radiance):
-            across, turn = strata(count, 2, np.random.default_rng(0))
-            # Each sun lights all voxels: what counts is their fluence, not what enters.
-            towards, irradiance, fluence = self._bright(across, turn, medium, band)
-            sent = irradiance.mean()
-            irradiance *= fluence / sent if sent else 0  # so few suns need not add up to the sky
+            across, turn = r_sequence(count, 2, np.random.default_rng(0))
+            # Each sun lights all voxels, so directions are sampled by fluence, not by power.
+            towards, irradiance, fluence = _sampled_by_brightness(
+                self.radiance, across, turn, medium, band
+            )
+            mean = irradiance.mean()
+            irradiance *= fluence / mean if mean else 0  # makes the few suns add up to the sky
         else:
             towards = even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
             irradiance = np.full(count, 4 * np.pi * radiance)
-        of_each = _SUN_PER_EDGE if max(medium.shape) <= FEW_VOXELS else 1
-        return -towards, irradiance / count, of_each
+        per_edge_of_each = _SUN_PER_EDGE if max(medium.shape) <= FEW_VOXELS else 1
+        return -towards, irradiance / count, per_edge_of_each
 
-    def parts(self):
-        """[Sky]: what comes evenly from everywhere, where there is any, and the rest, likewise."""
+    def parts(self) -> Sequence["Sky"]:
+        """The uniform part of the sky, if it is not dark, and the remainder, likewise."""
         if not callable(self.radiance):
             return [self]
-        cells = cell_centers()
-        radiance = _over_directions(self.radiance, cells)(cells)
+        function, cells = self.radiance, cell_centers()
+        radiance = _over_directions(function, cells)(cells)
         check_energy(radiance, "radiance of the sky")
         least = radiance.min(axis=0)
-        rest = Sky(lambda towards: np.maximum(np.subtract(self.radiance(towards), least), 0))
+        uneven = Sky(lambda towards: np.maximum(np.subtract(function(towards), least), 0))
         even = [Sky(least)] if np.any(least) else []
-        return even + ([rest] if np.any(radiance > least) else [])
+        return even + ([uneven] if np.any(radiance > least) else [])
 
-    def _emit_by_brightness(self, count, medium, rng, band):
-        """Directions by the power that comes from their cell of the sky, then points of entry."""
-        row, turn, across, along = strata(count, 4, rng)
-        towards, irradiance, _ = self._bright(row, turn, medium, band, face_areas(medium.domain))
+    def _emit_by_brightness(
+        self,
+        function: Directional,
+        count: int,
+        medium: Medium,
+        rng: np.random.Generator,
+        band: int,
+    ) -> Photons:
+        """Photons with directions by the power of their cell of the sky, then points of entry."""
+        row, turn, across, along = r_sequence(count, 4, rng)
+        areas = face_areas(medium.domain)
+        towards, irradiance, _ = _sampled_by_brightness(function, row, turn, medium, band, areas)
         origins = entry_points(medium.domain, -towards, across, along)
-        shown = np.abs(towards) @ face_areas(medium.domain)
-        return origins, -towards, irradiance * shown / count
-
-    def _bright(self, across, turn, medium, band, areas=None):
-        """Directions (n, 3) towards a sky that is a function, by the light that comes from their
-        cell of it; the (n,) W/m^2 for which each would stand alone; and the light of all cells.
-
-        across and turn are the (n,) in [0, 1) that choose them: the row, and the cell in the row,
-        so that what is spread evenly over both is spread evenly over the sky. The light is a
-        power, W, through faces of the areas (3,) m^2, or without them a fluence, W/m^2.
-        """
-        cells, points = cell_centers(), cell_quarters()
-        radiance = _over_directions(self.radiance, points)
-        glow = of_band(radiance(points), medium.bands, band).reshape(len(cells), -1).mean(axis=1)
-        if areas is not None:
-            glow = glow * (np.abs(cells) @ areas)
-        even = 1 / len(cells)
-        chance = np.full(len(cells), even)
-        if glow.any():
-            chance = _ANYWHERE * even + (1 - _ANYWHERE) * glow / glow.sum()
-
-        edges, columns = intervals(chance), SKY_CELLS[1]
-        row, height = pick(edges[::columns], across)
-        begin, end = edges[row * columns], edges[(row + 1) * columns]
-        cell, around = pick(edges, (begin + turn * (end - begin)) / edges[-1])
-        towards = in_cells(cell, height, around)
-        solid_angle = 4 * np.pi * even / chance[cell]
-        irradiance = of_band(radiance(towards), medium.bands, band) * solid_angle
-        return towards, irradiance, 4 * np.pi * even * glow.sum()
+        seen_area = np.abs(towards) @ areas
+        return origins, -towards, irradiance * seen_area / count
 
 
-def _over_directions(radiance, probe):
-    """A sky's function for (n, 3) directions: all at once if it can, else one by one.
+def _sampled_by_brightness(
+    function: Directional,
+    across: Floats,
+    turn: Floats,
+    medium: Medium,
+    band: int,
+    areas: Floats | None = None,
+) -> tuple[Floats, Floats, float]:
+    """Directions (n, 3) towards a sky given as a function, by the light from their cell of it; the
+    (n,) W/m^2 of the whole sky that each estimates; and the light of all cells.
 
-    Whether it can is tried on the directions `probe`.
+    across, turn  (n,) in [0, 1), choose the row, and the cell in the row: points that cover this
+                  square evenly give directions that cover the sky evenly
+    areas         (3,) m^2, of the faces: light is then power through them, W; without them it is
+                  fluence, W/m^2
+    """
+    cells, points = cell_centers(), cell_quarters()
+    radiance = _over_directions(function, points)
+    light = of_band(radiance(points), medium.bands, band).reshape(len(cells), -1).mean(axis=1)
+    if areas is not None:
+        light = light * (np.abs(cells) @ areas)
+    even = 1 / len(cells)
+    probability = np.full(len(cells), even)
+    if light.any():
+        probability = _ANYWHERE * even + (1 - _ANYWHERE) * light / light.sum()
+
+    edges, columns = intervals(probability), SKY_CELLS[1]
+    row, height = sample_discrete(edges[::columns], across)
+    begin, end = edges[row * columns], edges[(row + 1) * columns]
+    cell, around = sample_discrete(edges, (begin + turn * (end - begin)) / edges[-1])
+    towards = in_cells(cell, height, around)
+    solid_angle = 4 * np.pi * even / probability[cell]
+    irradiance = of_band(radiance(towards), medium.bands, band) * solid_angle
+    return towards, irradiance, float(4 * np.pi * even * light.sum())
+
+
+def _over_directions(radiance: Directional, probe: Floats) -> Directional:
+    """A sky's function for directions (n, 3): called once for all if it can be, else one by one.
+
+    This is tried on the directions `probe`.
     """
 
-    def together(directions):
+    def together(directions: Floats) -> Floats:
         return np.asarray(radiance(directions), float)
 
-    def one_by_one(directions):
+    def one_by_one(directions: Floats) -> Floats:
         return np.array([radiance(direction) for direction in directions], float)
 
-    some = slice(None, None, 307)  # spread over rows and columns of the sky's cells
-    expected = one_by_one(probe[some])
+    sample = slice(None, None, 307)  # covers rows and columns of the sky's cells
+    expected = one_by_one(probe[sample])
     try:
         with np.errstate(all="ignore"):
             values = together(probe)
-    except Exception:  # whatever a function does that was written for one direction
+    except Exception:  # a function written for one direction may raise anything
         return one_by_one
     fits = values.shape == (len(probe), *expected.shape[1:])
-    return together if fits and np.allclose(values[some], expected, equal_nan=True) else one_by_one
+    is_same = fits and np.allclose(values[sample], expected, equal_nan=True)
+    return together if is_same else one_by_one

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions of direction: harmonics, the phase function, and few directions that integrate both."""
+"""Functions of direction: harmonics, the phase function, and a quadrature of few directions."""
 
+from collections.abc import Sequence
 from itertools import product
 from math import pi
 
 import numpy as np
 
+from ...arrays import Floats
 from ..lights.sampling import (
     GOLDEN,
     even_directions,
@@ -13,71 +15,80 @@ from ..lights.sampling import (
     tilted,
 )
 
-_EVEN, _AIMED = 32, 24  # directions from everywhere, and more along the way of each sun
-_AIM = 0.7  # mean cosine of those
-_EXACT = 4  # degree of the polynomials that the weights of directions are exact for
+_EVEN, _AIMED = 32, 24  # directions distributed evenly, and more about the direction of each sun
+_AIM = 0.7  # mean cosine of the latter to the sun's direction
+_EXACT = 4  # degree of the polynomials that the quadrature integrates exactly
 FACTORS = np.sqrt(np.array([1, 3, 3, 3, 15, 15, 15, 1.25, 3.75]) / (4 * pi))
 DEGREES = np.repeat(np.arange(3), (1, 3, 5))  # of `harmonics`
 
 
-def harmonics(directions):
+def harmonics(directions: Floats) -> Floats:
     """(9, ...) real spherical harmonics of the degrees 0, 1, 1, 1, 2 ... of unit vectors (3, ...):
-    factors times `polynomials`."""
+    FACTORS times `polynomials`."""
     polynomial = polynomials(directions)
     return FACTORS.reshape(-1, *[1] * (polynomial.ndim - 1)) * polynomial
 
 
-def polynomials(directions):
+def polynomials(directions: Floats) -> Floats:
     """(9, ...): 1, x, y, z, x y, y z, z x, 3 z^2 - 1, x^2 - y^2."""
     x, y, z = directions
     return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, 3 * z * z - 1, x * x - y * y])
 
 
-def phase_function(cosine, g):
-    """Of Henyey and Greenstein, 1/sr."""
-    return (1 - g * g) / (4 * pi) / (1 + g * g - 2 * g * cosine) ** 1.5
+def phase_function(cosine: Floats, g: float | np.floating) -> Floats:
+    """The Henyey-Greenstein phase function, 1/sr.
+
+    cosine  (...), of the scattering angle
+    g       mean cosine
+    """
+    values: Floats = (1 - g * g) / (4 * pi) / (1 + g * g - 2 * g * cosine) ** 1.5
+    return values
 
 
-def directions_for(suns, g):
-    """((n, 3) unit vectors, (n,) sr their weights) for light that suns bring to a medium.
+def directions_for(suns: Sequence[Floats], g: float) -> tuple[Floats, Floats]:
+    """A quadrature for light that suns bring to a medium: (n, 3) unit vectors, (n,) weights in sr.
 
-    suns  [(3,) unit vector]
-    Exact for polynomials up to the fourth degree; and for a sun's own light, once scattered, times
-    `harmonics` and `third`.
+    suns  [(3,) unit vector], the directions of travel
+    g     mean cosine of the phase function
+    It is exact for polynomials up to the fourth degree, and for the once-scattered light of each
+    sun times `harmonics` and times `third`.
     """
     u = (np.arange(_AIMED) + 0.5) / _AIMED
     aimed = tilted(1 - _cosine_at(u, _AIM), np.arange(_AIMED) * GOLDEN % 1)
     even = _EVEN if suns else _EVEN + _AIMED
-    found = [even_directions(np.arange(even), even), *(aimed @ frame_of(sun) for sun in suns)]
-    found = np.concatenate(found)
-    density = np.full(len(found), even / (4 * pi))
+    sets = [even_directions(np.arange(even), even), *(aimed @ frame_of(sun) for sun in suns)]
+    directions = np.concatenate(sets)
+    density = np.full(len(directions), even / (4 * pi))
     for sun in suns:
-        density += _AIMED * phase_function(found @ sun, _AIM)
-    return found, _corrected(found, 1 / density, suns, g)
+        density += _AIMED * phase_function(directions @ sun, _AIM)
+    return directions, _corrected(directions, 1 / density, suns, g)
 
 
-def _cosine_at(u, g):
-    """The cosine that a share u of light which `phase_function` scatters exceeds."""
+def _cosine_at(u: Floats, g: float) -> Floats:
+    """The cosine that a share u of the light scattered by `phase_function` exceeds."""
     q = (1 - g * g) / (1 - g + 2 * g * u)
-    return (1 + g * g - q * q) / (2 * g)
+    cosine: Floats = (1 + g * g - q * q) / (2 * g)
+    return cosine
 
 
-def _corrected(directions, weights, suns, g):
-    """The weights, changed by as little as makes them exact, over what they were."""
+def _corrected(directions: Floats, weights: Floats, suns: Sequence[Floats], g: float) -> Floats:
+    """The exact weights closest to the given ones, in relative terms (least squares)."""
     powers = [n for n in product(range(_EXACT + 1), repeat=3) if sum(n) <= _EXACT]
-    basis = [np.prod(directions**n, axis=1) for n in powers]
-    wanted = [_integral(n) for n in powers]
+    functions = [np.prod(directions**n, axis=1) for n in powers]
+    integrals = [_integral(n) for n in powers]
     for sun in suns:
         cosine = directions @ sun
         scattered = phase_function(cosine, g)
-        basis += [*(scattered * harmonics(directions.T)), scattered * third(cosine)]
-        wanted += [*(harmonics(sun) * g**DEGREES), g**3]
-    basis = np.array(basis)
-    return weights * (1 + np.linalg.lstsq(basis * weights, wanted - basis @ weights, rcond=1e-9)[0])
+        functions += [*(scattered * harmonics(directions.T)), scattered * third(cosine)]
+        integrals += [*(harmonics(sun) * g**DEGREES), g**3]
+    basis = np.array(functions)
+    defect = integrals - basis @ weights
+    corrected: Floats = weights * (1 + np.linalg.lstsq(basis * weights, defect, rcond=1e-9)[0])
+    return corrected
 
 
-def _integral(powers):
-    """Of x^i y^j z^k over all directions, sr."""
+def _integral(powers: Sequence[int]) -> float:
+    """The integral of x^i y^j z^k over all directions, sr."""
     if any(n % 2 for n in powers):
         return 0.0
     halves = [n // 2 for n in powers]
@@ -86,6 +97,6 @@ def _integral(powers):
     return 4 * pi * odd[0] * odd[1] * odd[2] / odd[3]
 
 
-def third(cosine):
-    """Legendre's polynomial of the third degree."""
+def third(cosine: Floats) -> Floats:
+    """The Legendre polynomial of the third degree."""
     return (5 * cosine**3 - 3 * cosine) / 2

@@ -1,331 +1,308 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a medium that scatters forwards sends light: gathered once more along many directions.
+"""Source iteration with discrete ordinates, for media that scatter forwards.
 
-The lattice tells how much light there is, and its net flux. What such a medium sends aside of a
-lamp's way hangs on more than that: on what is left of the lamp's direction after a few scatterings.
-So rays of many directions cross the box of the medium and gather what is scattered into them; at
-first of the lattice's light, then of what was gathered before: source iteration, as of discrete
-ordinates. What comes of it is kept as moments and lobes, see `Scattered`; docs/theory/physics.md
-says what that was measured to be worth.
+The lattice gives the fluence and the net flux. The light that a forward-scattering medium scatters
+away from a lamp's direction depends on more: on how much of that direction remains after a few
+scatterings. So rays along many directions cross the box of the medium and collect the light that
+is scattered into them: in the first iteration the lattice's light, in each later one the light of
+the iteration before. The result is kept as moments and lobes, see `ScatteringMoments`.
+docs/theory/physics.md has the measured gain.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from math import ceil, floor
 from time import perf_counter
 
 import numpy as np
 
+from ...arrays import Floats, Integers
 from .. import device as devices
 from ..backend import backend_of
 from ..bands import distinct
 from ..box import Box
-from ..field import Scattered
+from ..device import Device
+from ..field import Field, ScatteringMoments
+from ..lights.base import Light
 from ..lights.distant import Sun
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
-from ..medium import merged
+from ..medium import Medium, merged
 from ..monitor import Monitor
 from ..resample import between
 from ..uncollided.sweep import Beam, Turn
-from .quadrature import (
-    DEGREES,
-    directions_for,
-    harmonics,
-    phase_function,
-    third,
+from .moments import (
+    BY_DEGREE,
+    BandMoments,
+    beside_beams,
+    lobes_of,
+    of_lobe,
+    of_lobes,
+    way_of,
 )
+from .quadrature import directions_for, harmonics, phase_function, third
 
-TIMES = 4  # that light is gathered: more gain nothing, as moments are not all there is
-FORWARDS = 0.65  # mean cosine from which on it is worth it
-# Mean optical depth of voxels, where there is matter: up to which it is, as light changes within
-# thicker ones; and up to which those with more than _MOST along an edge are merged, as what has
-# scattered is smooth.
+ITERATIONS = 4  # more gain nothing: what the moments leave out remains
+MIN_ANISOTROPY = 0.65  # mean cosine of the phase function from which on iterations are worthwhile
+# Mean optical depth of the voxels that hold matter: the largest for which iterations are
+# worthwhile, as light varies within thicker voxels; and the largest that merging may lead to, of
+# media with more than _MOST voxels along an edge, as scattered light is smooth.
 THICKEST, _MERGED = 3.0, 2.0
 _MOST = 48
-_LARGEST = 160  # voxels along an edge, beyond which they are merged in any case: 1 GB
-_LOBE = 3  # the mean cosine of lobes is this power of g, as of light that scatters a third time
+_LARGEST = 160  # voxels along an edge, beyond which they are always merged: 1 GB
+_LOBE = 3  # the mean cosine of lobes is g to this power, as of light at its third scattering
 _BEAMS_AT_ONCE = 16
-_DEGREES = DEGREES.reshape(-1, 1, 1, 1)
 
 
-def is_worthwhile(medium, lights):
-    """Whether the pictures of a medium in some lights gain by gathering.
+def is_worthwhile(medium: Medium, lights: Sequence[Light]) -> bool:
+    """Whether source iteration improves pictures of a medium in some lights.
 
-    Nothing is gathered of what opaque voxels reflect.
+    Light that opaque voxels reflect does not take part in it.
     """
-    if medium.occlusion is not None or np.max(medium.g) < FORWARDS:
+    if medium.occlusion is not None or np.max(medium.g) < MIN_ANISOTROPY:
         return False
-    beams = any(light.is_beam for light in lights)
-    return bool(beams and _mean_depth(medium) <= THICKEST)
+    has_beams = any(light.is_beam for light in lights)
+    return bool(has_beams and _mean_depth(medium) <= THICKEST)
 
 
-def gather(medium, lights, field, device=None, times=TIMES, progress=None, cancel=None):
-    """The `Scattered` of the `Field` that a medium and its lights have by the physical model.
+def iterate(
+    medium: Medium,
+    lights: Sequence[Light],
+    field: Field,
+    device: Device | str | None = None,
+    iterations: int = ITERATIONS,
+    progress: Callable[[float], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> ScatteringMoments:
+    """The `ScatteringMoments` after some iterations from a `Field` of the physical model.
 
     medium, lights, device, cancel  those of `solve`
-    times     that light is gathered, each of what was gathered before
-    progress  called with the share that is done
+    iterations  each starts from the light of the one before
+    progress    called with the fraction that is done
     Raises DeviceError or Cancelled.
     """
-    monitor = Monitor(progress and (lambda _stage, share: progress(share)), cancel)
+    monitor = Monitor(progress and (lambda _stage, fraction: progress(fraction)), cancel)
     lights, pieces = list(lights), _pieces(medium)
-    if pieces > 1:
-        large, of_large = medium.merged(pieces), _merged(field, medium, pieces)
-        found = _gathered(large, lights, of_large, device, times, monitor)
-        moments, lobes = (
-            between(grid, pieces, medium.shape) for grid in (found.moments, found.lobes)
-        )
-        return Scattered(moments, lobes, found.g, times)
-    return _gathered(medium, lights, field, device, times, monitor)
+    if pieces == 1:
+        return _iterated(medium, lights, field, device, iterations, monitor)
+    coarse_field = _merged(field, medium, pieces)
+    coarse = _iterated(medium.merged(pieces), lights, coarse_field, device, iterations, monitor)
+    moments, lobes = (
+        between(grid, pieces, medium.shape) for grid in (coarse.moments, coarse.lobes)
+    )
+    return ScatteringMoments(moments, lobes, coarse.g, iterations)
 
 
-def _pieces(medium):
-    """How many voxels are merged along each edge."""
+def _pieces(medium: Medium) -> int:
+    """The number of voxels that are merged along each edge."""
     edge = max(medium.shape)
-    wished = min(ceil(edge / _MOST), floor(_MERGED / max(_mean_depth(medium), 1e-9)))
-    return max(wished, ceil(edge / _LARGEST))
+    pieces: int = min(ceil(edge / _MOST), floor(_MERGED / max(_mean_depth(medium), 1e-9)))
+    return max(pieces, ceil(edge / _LARGEST))
 
 
-def _mean_depth(medium):
-    """The mean optical depth of voxels where there is matter."""
+def _mean_depth(medium: Medium) -> float:
+    """The mean optical depth of the voxels that hold matter."""
     depth = medium.depth(np.max(medium.sigma_t))
-    return depth.sum() / max(1, np.count_nonzero(depth))
+    return float(depth.sum() / max(1, np.count_nonzero(depth)))
 
 
-def _merged(field, medium, pieces):
-    """A `Field` of what light there is in merged voxels of a medium."""
-    there = merged(np.ones(medium.shape, np.float32), pieces)
+def _merged(field: Field, medium: Medium, pieces: int) -> Field:
+    """A `Field` with the mean light of merged voxels of a medium."""
+    filled = merged(np.ones(medium.shape, np.float32), pieces)
     names = ("fluence", "flux", "direct", "direct_flux", "by_light", "forward")
-    return replace(field, **{name: merged(getattr(field, name), pieces) / there for name in names})
+    return replace(field, **{name: merged(getattr(field, name), pieces) / filled for name in names})
 
 
-def _gathered(medium, lights, field, device, times, monitor):
-    """`gather` in a medium's own voxels."""
-    ways, box = _Ways(medium, lights), Box.around([medium.density])
-    found = Scattered.dark(medium.bands, len(ways.numbers), medium.shape, times)
-    runs = _runs(medium, lights)
-    for number, (band, multiples) in enumerate(runs):
-        gatherer = _Gatherer(medium, box, band, ways, device)
-        # In float32 light may be as dim or bright as the user likes only where it is near 1.
+def _iterated(
+    medium: Medium,
+    lights: Sequence[Light],
+    field: Field,
+    device: Device | str | None,
+    iterations: int,
+    monitor: Monitor,
+) -> ScatteringMoments:
+    """`iterate` in a medium's own voxels."""
+    beams, box = _Beams(medium, lights), Box.around([medium.density])
+    result: ScatteringMoments = ScatteringMoments.dark(
+        medium.bands, len(beams.numbers), medium.shape, iterations
+    )
+    bands = _bands(medium, lights)
+    for number, (band, multiples) in enumerate(bands):
+        ordinates = _Ordinates(medium, box, band, beams, device)
+        # Scaled to about 1, so that light of any strength fits float32.
         scale = (field.fluence[band] + field.direct[band]).max() or np.float32(1)
-        light, unscattered = (part(field, scale) for part in (gatherer.first, gatherer.unscattered))
-        for time in range(times):
-            passes = len(runs) * times
-            of_pass = monitor.part((number * times + time) / passes, 1 / passes)
-            light = gatherer.next(light, unscattered, of_pass)
-        light.moments[1:] *= gatherer.bound(light)
+        light, uncollided = ordinates.first(field, scale), ordinates.uncollided(field, scale)
+        for iteration in range(iterations):
+            steps = len(bands) * iterations
+            part = monitor.part((number * iterations + iteration) / steps, 1 / steps)
+            light = ordinates.iterate(light, uncollided, part)
+        light.moments[1:] *= ordinates.limiter(light)
         for other, factor in multiples.items():
-            box.of(found.moments[other])[...] = factor * scale * light.moments
-            box.of(found.lobes[:, other])[...] = factor * scale * light.lobes
-            found.g[other] = light.g
-    return found
+            box.of(result.moments[other])[...] = factor * scale * light.moments
+            box.of(result.lobes[:, other])[...] = factor * scale * light.lobes
+            result.g[other] = light.g
+    return result
 
 
-def _runs(medium, lights):
-    """[(band to gather, {band: its multiple})]"""
-    shining = lights if medium.emission is None else [*lights, Emission(medium)]
-    return distinct(medium, shining)
+def _bands(medium: Medium, lights: Sequence[Light]) -> list[tuple[int, dict[int, float]]]:
+    """[(band to iterate, {band: its multiple})]"""
+    sources = lights if medium.emission is None else [*lights, Emission(medium)]
+    bands: list[tuple[int, dict[int, float]]] = distinct(medium, sources)
+    return bands
 
 
-def seconds(medium, lights, device=None, times=TIMES):
-    """About how long `gather` takes, s: some of its rays are sent to see."""
+def seconds(
+    medium: Medium,
+    lights: Sequence[Light],
+    device: Device | str | None = None,
+    iterations: int = ITERATIONS,
+) -> float:
+    """An estimate of the time that `iterate` takes, s, from a trial of some of its rays."""
     medium = medium.merged(_pieces(medium))
-    gatherer = _Gatherer(medium, Box.around([medium.density]), 0, _Ways(medium, lights), device)
-    dark = _Light.dark(len(gatherer.ways.numbers), gatherer.depth.shape)
-    turn, some = next(gatherer.groups())
-    for _ in range(2):  # the first makes programs ready
+    beams, box = _Beams(medium, lights), Box.around([medium.density])
+    ordinates = _Ordinates(medium, box, 0, beams, device)
+    dark = BandMoments.dark(len(beams.numbers), ordinates.depth.shape)
+    turn, group = next(ordinates.groups())
+    for _ in range(2):  # the first also builds programs
         start = perf_counter()
-        gatherer.radiance(turn, some, dark, [])
-        spent = perf_counter() - start
-    passes = len(_runs(medium, lights)) * times
-    return passes * spent * len(gatherer.towards) / len(some)
+        ordinates.radiance(turn, group, dark, [])
+        duration = perf_counter() - start
+    steps = len(_bands(medium, lights)) * iterations
+    return steps * duration * len(ordinates.directions) / len(group)
 
 
-def of_lobes(fluence, flux, g):
-    """(9, nx, ny, nz) W/m^2: moments of what light is scattered to that has a lobe about its flux.
+class _Beams:
+    """The lights that are beams, and their directions in the voxels of a medium."""
 
-    fluence (nx, ny, nz) W/m^2, flux (3, nx, ny, nz) W/m^2, g of the medium
-    """
-    flux = np.asarray(flux, float)  # its square may be more than float32 has
-    strength = np.linalg.norm(flux, axis=0)
-    way = np.divide(flux, strength, out=np.zeros(flux.shape), where=strength > 0)
-    cosine = np.divide(strength, fluence, out=np.zeros(strength.shape), where=fluence > 0)
-    return _of_lobe(fluence, way, g * np.minimum(cosine, 1))
-
-
-def _of_lobe(light, way, cosine):
-    """The moments of light (nx, ny, nz) of a lobe about unit vectors (3, ...)."""
-    return light * harmonics(way) * np.asarray(cosine) ** _DEGREES
-
-
-# --- One band ------------------------------------------------------------------------------------
-
-
-class _Ways:
-    """Which lights are beams, and where they go in the voxels of a medium."""
-
-    def __init__(self, medium, lights):
+    def __init__(self, medium: Medium, lights: Sequence[Light]) -> None:
         self.numbers = [n for n, light in enumerate(lights) if light.is_beam]
-        self.beams = [lights[n] for n in self.numbers]
-        self.suns = [way_of(beam)[:, 0, 0, 0] for beam in self.beams if isinstance(beam, Sun)]
+        self.lights = [lights[n] for n in self.numbers]
         self.domain = medium.domain
+        suns = [light for light in self.lights if isinstance(light, Sun)]
+        self.suns = [way_of(sun, self.domain)[:, 0, 0, 0] for sun in suns]
 
-    def within(self, box):
+    def within(self, box: Box) -> list[Floats]:
         """[(3, 1, 1, 1) or (3, of the box)]: unit vectors, by beam."""
-        ways = (way_of(beam, self.domain).astype(np.float32) for beam in self.beams)
+        ways = (way_of(beam, self.domain).astype(np.float32) for beam in self.lights)
         return [way if way.size == 3 else box.of(way) for way in ways]
 
 
-def way_of(beam, domain=None):
-    """(3, 1, 1, 1) or (3, nx, ny, nz): unit vectors along which a beam goes in each voxel."""
-    if isinstance(beam, Sun):
-        way = np.reshape(beam.direction, (3, 1, 1, 1))
-    else:
-        way = np.moveaxis(domain.centers() - beam.position, -1, 0)
-    length = np.linalg.norm(way, axis=0)
-    return np.divide(way, length, out=np.zeros(way.shape), where=length > 0)
+class _Ordinates:
+    """The discrete ordinates of one band: directions with weights, in the box of a medium."""
 
-
-@dataclass
-class _Light:
-    """What light is scattered to: of a band what `Scattered` has of all, in the voxels of a box."""
-
-    moments: np.ndarray
-    lobes: np.ndarray
-    g: float
-
-    @classmethod
-    def dark(cls, beams, shape):
-        return cls(np.zeros((9, *shape), np.float32), np.zeros((beams, *shape), np.float32), 0.0)
-
-    def into(self, directions, cosines):
-        """(n, of the box) W/(m^2 sr) into n directions; cosines are by beam those of their angles
-        to it, (n, 1, 1, 1) or (n, of the box)."""
-        basis = harmonics(directions.T).T.astype(np.float32)
-        found = np.tensordot(basis, self.moments, axes=1)
-        for light, cosine in zip(self.lobes, cosines, strict=True):
-            found += light * phase_function(cosine, np.float32(self.g))
-        return found
-
-
-class _Gatherer:
-    """The box of a medium in one band, and the directions that light is gathered along in it."""
-
-    def __init__(self, medium, box, band, ways, device):
-        self.device, self.box, self.band, self.ways = devices.choose(device), box, band, ways
+    def __init__(
+        self,
+        medium: Medium,
+        box: Box,
+        band: int,
+        beams: _Beams,
+        device: Device | str | None,
+    ) -> None:
+        self.device: Device = devices.choose(device)
+        self.box, self.band, self.beams = box, band, beams
         self.g = float(medium.g[band])
-        self.depth = medium.depth(medium.sigma_t[band], box).astype(np.float32)
-        self.scattering = medium.depth(medium.sigma_s[band], box).astype(np.float32)
-        self.towards, self.weights = directions_for(ways.suns, self.g)
-        self.along = ways.within(box)
+        self.depth: Floats = medium.depth(medium.sigma_t[band], box).astype(np.float32)
+        self.scattering: Floats = medium.depth(medium.sigma_s[band], box).astype(np.float32)
+        self.directions, self.weights = directions_for(beams.suns, self.g)
+        self.along = beams.within(box)
         self.lattice = rank_1(1)
 
-    def first(self, field, scale):
-        """The `_Light` of a `Field`, over a scale: what goes on forwards of each beam, and a lobe
-        of the rest."""
-        forward = self._beams(field.forward, scale)
-        # What was scattered ahead once has the mean cosine g, and counts as 1 in the lattice.
-        ahead = ((1 + self.g) / 2 * way * own for way, own in zip(self.along, forward, strict=True))
+    def first(self, field: Field, scale: float | np.floating) -> BandMoments:
+        """The `BandMoments` of a `Field`: its forward-scattered light by beam, and a lobe of the
+        remainder."""
+        assert field.flux is not None
+        forward = self._by_beam(field.forward, scale)
+        # Light scattered once into the forward peak has the mean cosine g; the lattice takes 1.
+        ahead = ((1 + self.g) / 2 * way * f for way, f in zip(self.along, forward, strict=True))
         fluence = self.box.of(field.fluence[self.band]) / scale - forward.sum(axis=0)
         flux = self.box.of(field.flux[self.band]) / scale - sum(ahead)
-        rest = of_lobes(np.maximum(fluence, 0), flux, self.g)
-        return _Light(rest.astype(np.float32), forward, max(self.g, 0.0) ** 2)
+        moments = of_lobes(np.maximum(fluence, 0), flux, self.g)
+        return BandMoments(moments.astype(np.float32), forward, max(self.g, 0.0) ** 2)
 
-    def unscattered(self, field, scale):
-        """The `_Light` of beams, and of all other light that has not scattered, over a scale."""
-        beside = beside_beams(field, self.band, self.ways.numbers, self.along, self.box)
-        rest = of_lobes(*(light / scale for light in beside), self.g)
-        return _Light(rest.astype(np.float32), self._beams(field.by_light, scale), self.g)
+    def uncollided(self, field: Field, scale: float | np.floating) -> BandMoments:
+        """The `BandMoments` of uncollided light: by beam, and a lobe of all other lights."""
+        fluence, flux = beside_beams(field, self.band, self.beams.numbers, self.along, self.box)
+        moments = of_lobes(fluence / scale, flux / scale, self.g)
+        return BandMoments(moments.astype(np.float32), self._by_beam(field.by_light, scale), self.g)
 
-    def _beams(self, grids, scale):
-        return self.box.of(grids[self.ways.numbers, self.band]) / scale
+    def _by_beam(self, grids: Floats | None, scale: float | np.floating) -> Floats:
+        assert grids is not None
+        light: Floats = self.box.of(grids[self.beams.numbers, self.band]) / scale
+        return light
 
-    def next(self, light, unscattered, monitor):
-        """The `_Light` that is gathered of one, and of unscattered light."""
+    def iterate(self, light: BandMoments, uncollided: BandMoments, monitor: Monitor) -> BandMoments:
+        """The `BandMoments` of the light that has scattered, from those of the step before and of
+        uncollided light."""
         moments = np.zeros((9, *self.depth.shape), np.float32)
         thirds = np.zeros((len(self.along), *self.depth.shape), np.float32)
         done = 0
-        for turn, some in self.groups():
+        for turn, group in self.groups():
             monitor.check()
-            radiance = self.radiance(turn, some, light, [unscattered])
-            weights = self.weights[some].astype(np.float32)
-            basis = (weights * harmonics(self.towards[some].T)).astype(np.float32)
+            radiance = self.radiance(turn, group, light, [uncollided])
+            weights = self.weights[group].astype(np.float32)
+            basis = (weights * harmonics(self.directions[group].T)).astype(np.float32)
             moments += np.tensordot(basis, radiance, axes=1)
-            for own, cosine in zip(thirds, self._cosines(some), strict=True):
+            for moment, cosine in zip(thirds, self._cosines(group), strict=True):
                 weighted = weights.reshape(-1, 1, 1, 1) * third(cosine)
-                own += np.sum(weighted * radiance, axis=0)
-            done += len(some)
-            monitor.report("ordinates", done / len(self.towards))
-        moments *= (self.g**_DEGREES).astype(np.float32)
-        if self.g < FORWARDS:  # there is hardly a third moment
-            return _Light(moments, np.zeros_like(thirds), 0.0)
+                moment += np.sum(weighted * radiance, axis=0)
+            done += len(group)
+            monitor.report("ordinates", done / len(self.directions))
+        moments *= (self.g**BY_DEGREE).astype(np.float32)
+        if self.g < MIN_ANISOTROPY:  # the third moments are negligible
+            return BandMoments(moments, np.zeros_like(thirds), 0.0)
         g = self.g**_LOBE
-        lobes = _apart((self.g / g) ** 3 * thirds, self.along)
-        for own, way in zip(lobes, self.along, strict=True):
-            moments -= _of_lobe(own, way, g).astype(np.float32)
-        return _Light(moments, lobes, g)
+        lobes = lobes_of((self.g / g) ** 3 * thirds, self.along)
+        for lobe, way in zip(lobes, self.along, strict=True):
+            moments -= of_lobe(lobe, way, g).astype(np.float32)
+        return BandMoments(moments, lobes, g)
 
-    def bound(self, light):
-        """(of the box): what a `_Light`'s uneven moments are to be multiplied by, from 0 to 1, for
-        it to be nowhere less than nothing: a few moments of light from one side are."""
-        least = np.ones(self.depth.shape, np.float32)
-        for number, row in enumerate(harmonics(self.towards.T).T.astype(np.float32)):
+    def limiter(self, light: BandMoments) -> Floats:
+        """(of the box), 0 to 1: the factor on the moments of degree 1 and 2 that keeps radiance
+        positive in all directions; a truncated series of one-sided light is negative in some."""
+        factor = np.ones(self.depth.shape, np.float32)
+        for number, row in enumerate(harmonics(self.directions.T).T.astype(np.float32)):
             even = row[0] * light.moments[0]
             uneven = np.tensordot(row[1:], light.moments[1:], axes=1)
-            for own, cosine in zip(light.lobes, self._cosines([number]), strict=True):
-                even = even + own * phase_function(cosine[0], np.float32(light.g))
-            share = np.divide(even, -uneven, out=np.ones_like(least), where=uneven < 0)
-            np.minimum(least, np.maximum(share, 0), out=least)
-        return least
+            for lobe, cosine in zip(light.lobes, self._cosines([number]), strict=True):
+                even = even + lobe * phase_function(cosine[0], np.float32(light.g))
+            share = np.divide(even, -uneven, out=np.ones_like(factor), where=uneven < 0)
+            np.minimum(factor, np.maximum(share, 0), out=factor)
+        return factor
 
-    def groups(self):
-        """(`Turn`, numbers) of the directions that are sent at once: from one side."""
-        longest = np.abs(self.towards).argmax(axis=1)
+    def groups(self) -> Iterator[tuple[Turn, Integers]]:
+        """(`Turn`, numbers) of the directions that are swept at once: from one side."""
+        longest = np.abs(self.directions).argmax(axis=1)
         for axis in range(3):
             turn = Turn(axis, self.depth.shape, Box.all(self.depth.shape))
             for backward in (False, True):
-                of_side = (longest == axis) & ((self.towards[:, axis] < 0) == backward)
-                numbers = np.flatnonzero(of_side)
+                side = (longest == axis) & ((self.directions[:, axis] < 0) == backward)
+                numbers = np.flatnonzero(side)
                 for first in range(0, len(numbers), _BEAMS_AT_ONCE):
                     yield turn, numbers[first : first + _BEAMS_AT_ONCE]
 
-    def radiance(self, turn, some, light, more):
-        """(n, of the box) W/(m^2 sr), mean in each voxel, of n directions: of light that is
-        scattered to them from a `_Light`, and from more."""
-        cosines = self._cosines(some)
-        shining = sum(each.into(self.towards[some], cosines) for each in [light, *more])
-        np.maximum(shining, 0, out=shining)  # moments alone may be less than nothing
-        shining *= self.scattering
-        beams = [Beam(self.towards[n], 1.0, turn, (self.lattice + shift_of(n)) % 1) for n in some]
-        glow = backend_of(self.device).glow(turn, turn.turned(self.depth))
-        score = glow.run(beams, [turn.turned(own) for own in shining])
-        width = np.array([beam.dw for beam in beams], np.float32) / self.lattice.shape[1]
-        found = np.array([turn.back(own) for own in score], np.float32)
-        return found * width.reshape(-1, 1, 1, 1) / np.maximum(1, self.depth)
-
-    def _cosines(self, some):
-        return [
-            np.tensordot(self.towards[some].astype(np.float32), way, axes=1) for way in self.along
+    def radiance(
+        self, turn: Turn, group: Integers, light: BandMoments, others: Sequence[BandMoments]
+    ) -> Floats:
+        """(n, of the box) W/(m^2 sr), the mean in each voxel along n directions of the light that
+        is scattered from `BandMoments`."""
+        cosines = self._cosines(group)
+        source = light.into(self.directions[group], cosines)
+        for other in others:
+            source = source + other.into(self.directions[group], cosines)
+        np.maximum(source, 0, out=source)  # truncated series may be negative
+        source *= self.scattering
+        beams = [
+            Beam(self.directions[n], 1.0, turn, np.add(self.lattice, shift_of(int(n))) % 1)
+            for n in group
         ]
+        glow = backend_of(self.device).glow(turn, turn.turned(self.depth))
+        scores = glow.run(beams, [turn.turned(emission) for emission in source])
+        width = np.array([beam.dw for beam in beams], np.float32) / self.lattice.shape[1]
+        radiance: Floats = np.array([turn.back(score) for score in scores], np.float32)
+        radiance = radiance * width.reshape(-1, 1, 1, 1) / np.maximum(1, self.depth)
+        return radiance
 
-
-def beside_beams(field, band, numbers, ways, box):
-    """(fluence (of the box), flux (3, of the box)) W/m^2: unscattered light but that of beams."""
-    fluence, flux = box.of(field.direct[band]), box.of(field.direct_flux[band])
-    for number, way in zip(numbers, ways, strict=True):
-        own = box.of(field.by_light[number, band])
-        fluence, flux = fluence - own, flux - way * own
-    # Rounding leaves less than nothing where beams are all there is.
-    return np.maximum(fluence, 0), flux
-
-
-def _apart(thirds, ways):
-    """The lobes (beams, ...) whose third moments along each of the ways add up to those given."""
-    count = len(ways)
-    if count <= 1:
-        return thirds
-    near = np.broadcast_arrays(*(third(np.sum(a * b, axis=0)) for a in ways for b in ways))
-    near = np.stack(near, axis=-1).reshape(*near[0].shape, count, count)
-    # Beams that go about the same way share a lobe.
-    inverse = np.linalg.pinv(near.astype(float), rtol=0.03)
-    return np.einsum("...ij,j...->i...", inverse, thirds).astype(np.float32)
+    def _cosines(self, group: Integers | list[int]) -> list[Floats]:
+        """By beam, the cosines of the angles between directions and the beam."""
+        directions = self.directions[group].astype(np.float32)
+        return [np.tensordot(directions, way, axes=1) for way in self.along]

@@ -1,44 +1,64 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How light fades on its way; kernels/uncollided/attenuation.cl does the same."""
+"""Attenuation of light along a path; kernels/uncollided/attenuation.cl is the twin."""
 
+from collections.abc import Sequence
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
+
+from ...arrays import Floats
 
 _THIN = 0.5  # optical depth up to which series are used
 
 
-def fade(depth):
-    """How light fades over optical depths (n,), all finite down to a depth of 0.
+class Attenuation(NamedTuple):
+    """What a path of optical depth t does to light; each (n,), finite down to t = 0.
 
-    Returns (n,) each: exp(-depth); the mean of that over the way, m = (1 - exp(-depth)) / depth;
-    (1 - m) / depth; and where on the way it collides, on average, from 0 to 1.
+    transmittance       T = exp(-t)
+    mean_transmittance  m = (1 - T) / t, the mean of the transmittance over the path
+    source_score        (1 - m) / t, the uncollided path length of light that is emitted evenly
+                        along the path, over the length of the path
+    collision_place     mean place of the collisions of light that enters, 0 to 1 along the path
     """
-    through = np.exp(-depth)
+
+    transmittance: Floats
+    mean_transmittance: Floats
+    source_score: Floats
+    collision_place: Floats
+
+
+def attenuate(depth: Floats) -> Attenuation:
+    """The `Attenuation` over optical depths (n,)."""
+    transmittance = np.exp(-depth)
     thin = depth < _THIN
     t, far = np.where(thin, depth, 0), np.where(thin, 1, depth)
-    lost = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
-    mean = 1 - t * lost
+    source_score = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
+    mean = 1 - t * source_score
     place = _series(t, [1 / 2, -1 / 12, 0, 1 / 720, 0, -1 / 30240, 0, 1 / 1209600])
     mean_far = -np.expm1(-far) / far
-    return (
-        through,
+    return Attenuation(
+        transmittance,
         np.where(thin, mean, mean_far),
-        np.where(thin, lost, (1 - mean_far) / far),
+        np.where(thin, source_score, (1 - mean_far) / far),
         np.where(thin, place, 1 / far + np.exp(-far) / np.expm1(-far)),
     )
 
 
-def own_place(depth, mean, place):
-    """(n,) where on a way light that starts evenly on it collides, on average, from 0 to 1."""
+def source_collision_place(depth: Floats, mean: Floats, place: Floats) -> Floats:
+    """(n,), 0 to 1: mean place of the collisions of light that is emitted evenly along the path.
+
+    mean, place  `mean_transmittance` and `collision_place` of the depths
+    """
     thin = depth < _THIN
     t = np.where(thin, depth, 0)
-    # Of s (1 - exp(-t s)) over s from 0 to 1, and of 1 - exp(-t s), both by t.
+    # Integrals of s (1 - exp(-t s)) and of 1 - exp(-t s) over s from 0 to 1, both over t.
     moment = _series(t, [(-1) ** n / (factorial(n + 1) * (n + 3)) for n in range(14)])
     share = _series(t, [(-1) ** n / factorial(n + 2) for n in range(14)])
     far = (0.5 - mean * place) / np.where(thin, 1, 1 - mean)
     return np.where(thin, moment / share, far)
 
 
-def _series(t, coefficients):
-    return np.polynomial.polynomial.polyval(t, coefficients)
+def _series(t: Floats, coefficients: Sequence[float]) -> Floats:
+    values: Floats = np.polynomial.polynomial.polyval(t, coefficients)
+    return values

@@ -1,56 +1,75 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rays of a light, which bands share where they meet the same."""
+"""Casts of a light, shared by bands in which its rays meet the same medium."""
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
-from ..lights.base import by_band, multiple, same
+from ...arrays import Floats
+from ..box import Box
+from ..device import Device
+from ..lights.base import Light, by_band, multiple, same
 from ..lights.distant import FEW_VOXELS, Sky
 from ..lights.emission import Emission
+from ..medium import Medium
+from ..monitor import Monitor
 from . import casting
 
-# Rays along a voxel's edge, fewer where voxels are not few and share what single ones are off;
-# those of a sky, and of a medium that shines, go in many directions.
+# The usual number of rays along a voxel's edge: in small domains; in large ones, where a single
+# voxel's error matters less; and for skies and emission, which have many directions.
 _USUAL, _AMONG_MANY, _OF_SKY = 6, 3, 4
 
 
-def parts(lights):
-    """[(number of its light, light)]: skies divided in what is even and what is not."""
+def parts(lights: Sequence[Light]) -> list[tuple[int, Light]]:
+    """[(number of its light, part)]: all lights, with skies split into an even and an uneven
+    part."""
     return [(number, part) for number, light in enumerate(lights) for part in light.parts()]
 
 
 class Rays:
-    """Sends the rays of a light; bands of which they meet the same share them.
+    """Casts of one light, shared by bands with the same extinction.
 
-    So they are sent once through leaves, which stop all colours alike, and through smoke that only
-    differs in how much of each it scatters.
+    Rays are sent once, for example, through leaves, which stop all colours alike, and through smoke
+    whose bands differ in albedo only.
 
-    number          of rays along a voxel's edge, over the usual number
-    device, monitor  as of `direct.cast`
+    number           rays along a voxel's edge over the usual number
+    device, monitor  as of `casting.cast`
     """
 
-    def __init__(self, medium, box, light, number, device, monitor):
+    def __init__(
+        self,
+        medium: Medium,
+        box: Box,
+        light: Light,
+        number: float,
+        device: Device,
+        monitor: Monitor,
+    ) -> None:
         self.medium, self.box, self.light = medium, box, light
         self.how = number, device, monitor
-        self.sent = {}  # {whether without the forward peak: (sigma_t, band, `direct.Cast`)}
+        # {whether the forward peak counts as scattered: (sigma_t, band, `casting.Cast`)}
+        self.sent: dict[bool, tuple[float, int, casting.Cast]] = {}
 
-    def cast(self, band, sigma_t, shadowed=True, peaked=True):
-        """The `direct.Cast` of a band.
+    def cast(
+        self, band: int, sigma_t: float, shadowed: bool = True, peaked: bool = True
+    ) -> casting.Cast:
+        """The `casting.Cast` of a band.
 
-        sigma_t   extinction at density 1 to reckon with, 1/m
-        shadowed  whether the light's own shadow density counts, the same in all calls
+        sigma_t   extinction coefficient at density 1, 1/m
+        shadowed  whether the light's shadow density replaces the medium's; the same in all calls
         peaked    whether the forward peak counts as scattered
         """
         if peaked in self.sent:
             known, base, cast = self.sent[peaked]
-            if same(known, sigma_t) and None not in (factors := self._factors(band, base)):
+            factors = self._factors(band, base) if same(known, sigma_t) else None
+            if factors is not None:
                 return cast if factors == (1, 1) else cast.times(*factors)
-        found = self._send(band, sigma_t, shadowed)
-        self.sent[peaked] = sigma_t, band, found
-        return found
+        cast = self._send(band, sigma_t, shadowed)
+        self.sent[peaked] = sigma_t, band, cast
+        return cast
 
-    def _send(self, band, sigma_t, shadowed):
+    def _send(self, band: int, sigma_t: float, shadowed: bool) -> casting.Cast:
         medium, light = self.medium, self.light
         number, device, monitor = self.how
         if light.shadow_density is not None and shadowed:
@@ -62,31 +81,34 @@ class Rays:
         return casting.cast(medium, light, band, sigma_t, device, per_edge, monitor, self.box)
 
     @cached_property
-    def missing(self):
-        """The `Rays` of what the medium would radiate if it gave back all that it absorbs of a
-        uniform sky."""
-        radiance = by_band(self.light.radiance, self.medium.bands)
+    def missing(self) -> "Rays":
+        """The `Rays` of the light that the medium would emit if it re-emitted all that it absorbs
+        of a uniform sky."""
+        radiance = by_band(self.light.spectrum, self.medium.bands)
         absorbed = 4 * np.pi * radiance * self.medium.sigma_a
         emission = absorbed[:, None, None, None] * self.medium.density
         emitting = Emission(self.medium.altered(emission=emission))
         return Rays(self.medium, self.box, emitting, *self.how)
 
-    def _factors(self, band, base):
-        """How many times more light of a band there is, and is reflected by what is opaque; None
-        where that is no number."""
+    def _factors(self, band: int, base: int) -> tuple[float, float] | None:
+        """The light of a band over that of another, and likewise the share that opaque matter
+        reflects; None if the bands are not multiples of each other."""
         light, medium = multiple([self.light], self.medium, band, base), self.medium
+        if light is None:
+            return None
         if medium.occlusion is None:
             return light, 1.0
-        own, other = (medium.occlusion_albedo[b] for b in (band, base))
-        if np.array_equal(own, other):
+        albedo, other = (medium.occlusion_albedo[b] for b in (band, base))
+        if np.array_equal(albedo, other):
             return light, 1.0
         total = float(np.sum(other, dtype=float))
-        ratio = float(np.sum(own, dtype=float)) / total if total else 1.0
-        # What is reflected out of the domain at once is not counted apart from what else leaves.
-        can = same(own, ratio * other) and not _on_border(medium.occlusion)
-        return light, ratio if can else None
+        ratio = float(np.sum(albedo, dtype=float)) / total if total else 1.0
+        # Light that the border reflects out of the domain is not tallied apart from other light
+        # that leaves.
+        is_multiple = same(albedo, ratio * other) and not _on_border(medium.occlusion)
+        return (light, ratio) if is_multiple else None
 
 
-def _on_border(grid):
-    """Whether a grid (nx, ny, nz) has anything in its outermost voxels."""
+def _on_border(grid: Floats) -> bool:
+    """Whether a grid (nx, ny, nz) is above 0 in any of its outermost voxels."""
     return any(grid.take((0, -1), axis).any() for axis in range(3))

@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unscattered light, exactly: rays of a light, sent through the voxels.
+"""Uncollided light: rays of a light, sent through the voxels.
 
-Density is constant in a voxel, so a ray of power p that has the optical depth t in one leaves
-p (1 - exp(-t)) there (Beer and Lambert), at 1/t - 1/(exp(t) - 1) of its way on average; nothing is
-drawn at random but where a light starts. What is left to chance is where rays are: see `rays` and
-`suns` of each light.
+Density is constant in a voxel, so a ray of power p with the optical depth t in a voxel deposits
+p (1 - exp(-t)) there (Beer-Lambert law), at the mean place 1/t - 1/(exp(t) - 1) of its path in the
+voxel. Attenuation is exact; the only error is the finite number of rays. `rays` and `suns` of each
+light say where they are.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import prod
+from typing import Any, Self
 
 import numpy as np
 
+from ...arrays import Array, Floats
 from .. import device as devices
 from ..backend import backend_of
 from ..box import Box
-from ..lights.base import DistantLight
+from ..device import Device
+from ..lights.base import DistantLight, Light, Photons
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
-from ..monitor import UNHEARD
+from ..medium import Medium
+from ..monitor import UNHEARD, Monitor
 from .march import (
     DIRECTION,
     POSITION,
@@ -29,71 +34,70 @@ from .march import (
 from .sweep import (
     STOPPED,
     Beam,
+    Tallies,
     Turn,
     Voxels,
 )
 
-_AT_ONCE = 2**18  # rays, at least, that a device is given where there are more
-_BEAMS_AT_ONCE = 8  # whose rays are in memory
+_AT_ONCE = 2**18  # rays that a device gets at once, at least, as long as there are more
+_BEAMS_AT_ONCE = 8  # beams whose rays are in memory
 
 
 @dataclass
 class Moments:
-    """Light of one band that met something, by voxel.
+    """Moments of the collisions of one band, by voxel.
 
     power      (nx, ny, nz) W
-    position   (3, nx, ny, nz) W m, power times the place from the voxel's centre
-    direction  (3, nx, ny, nz) W, power times the mean of its unit directions
+    position   (3, nx, ny, nz) W m, power times the place relative to the voxel's centre
+    direction  (3, nx, ny, nz) W, power times the mean of the unit directions
     """
 
-    power: np.ndarray
-    position: np.ndarray
-    direction: np.ndarray
+    power: Floats
+    position: Floats
+    direction: Floats
 
 
 @dataclass
 class Cast:
-    """Where the unscattered light of one light and band goes; arrays are float32.
+    """The uncollided light of one light and band, and its first collisions; arrays are float32.
 
-    direct     (nx, ny, nz) W/m^2, its fluence
-    toward     its net flux, (3, nx, ny, nz) W/m^2; or where all of it goes one way, that unit
-               vector, (3,)
-    shade      a `Box`: elsewhere light has met nothing
-    collided   `Moments` of its first collisions, before any albedo; with the directions before;
-               of voxels in the box that was asked for, like the next
-    reflected  (nx, ny, nz) W, what opaque matter reflects, by the voxel that it goes back into;
-               None without opaque voxels
+    direct     (nx, ny, nz) W/m^2, the uncollided fluence
+    toward     (3, nx, ny, nz) W/m^2, the net flux; or (3,), the unit vector along which all of the
+               light travels
+    shade      a `Box`: outside it light is unattenuated
+    collided   `Moments` of the first collisions, before the albedo and with the directions before
+               the collision, in the box that `cast` was given
+    reflected  (nx, ny, nz) W, the light that opaque matter reflects, by the voxel that it goes back
+               into, in that box, too; None without opaque voxels
     left       (6,) W, through the faces -x, +x, -y, +y, -z, +z
-    stopped    W, what opaque matter absorbs
-    entered    W, all of it: what collided, was reflected, left or was stopped
+    stopped    W, absorbed by opaque matter
+    entered    W, the sum: collided, reflected, left and stopped
     """
 
-    direct: np.ndarray
-    toward: np.ndarray
+    direct: Floats
+    toward: Floats
     shade: Box
     collided: Moments
-    reflected: np.ndarray | None
-    left: np.ndarray
+    reflected: Floats | None
+    left: Floats
     stopped: float
     entered: float
 
     @property
-    def flux(self):
-        """(3, nx, ny, nz) W/m^2, its net flux."""
+    def flux(self) -> Floats:
+        """(3, nx, ny, nz) W/m^2, the net flux."""
         return self.toward if self.toward.ndim > 1 else self._along(self.direct)
 
     @property
-    def sent_back(self):
-        """W, what opaque matter reflects."""
+    def sent_back(self) -> float:
+        """W, reflected by opaque matter."""
         return 0.0 if self.reflected is None else float(self.reflected.sum(dtype=float))
 
-    def times(self, factor, reflecting):
-        """The same of light that is stronger by a factor, where opaque matter reflects more, too.
-
-        reflecting  factor on the share that it does
-        """
+    def times(self, factor: float, reflecting: float) -> "Cast":
+        """The cast of light that is stronger by a factor, and of opaque matter whose reflected
+        share is larger by the factor `reflecting`."""
         toward, collided, reflected = self.toward, self.collided, self.reflected
-        found = Cast(
+        scaled = Cast(
             _product(factor, self.direct),
             _product(factor, toward) if toward.ndim > 1 else toward,
             self.shade,
@@ -107,57 +111,60 @@ class Cast:
             factor * self.stopped,
             factor * self.entered,
         )
-        found.stopped += factor * self.sent_back - found.sent_back  # what is met is the same
-        return found
+        # Opaque matter stops the same light; what it reflects less, it absorbs more.
+        scaled.stopped += factor * self.sent_back - scaled.sent_back
+        return scaled
 
-    def over(self, other):
-        """(direct, flux) in the shade, by which it is more than another of the same light."""
+    def over(self, other: "Cast") -> tuple[Floats, Floats]:
+        """The fluence and the flux, in the shade, minus those of another cast of this light."""
         shade = self.shade.of
         direct = shade(self.direct) - shade(other.direct)
         if self.toward.ndim > 1:
             return direct, shade(self.toward) - shade(other.toward)
         return direct, self._along(direct)
 
-    def _along(self, direct):
-        """The flux of light that all goes one way."""
+    def _along(self, direct: Floats) -> Floats:
+        """The flux of light that travels along `toward`."""
         return self.toward.astype(np.float32).reshape(3, 1, 1, 1) * direct
 
 
 @dataclass
 class _Scores:
-    """What rays scored, in weights.
+    """Scores of rays, in weights.
 
     score      (nx, ny, nz)
     position   (3, of the box)
-    direction  (3, nx, ny, nz), or (3,) the unit vector where all rays have one
+    direction  (3, nx, ny, nz), or (3,) the unit vector of all rays
     reflected  (of the box), or None without opaque voxels
-    sums       (7,), what left through the faces -x, +x, -y, +y, -z, +z, and what was stopped
-    shade      a `Box`: elsewhere light has met nothing
+    sums       (7,), the light that left through the faces -x, +x, -y, +y, -z, +z, and that opaque
+               matter absorbed
+    shade      a `Box`: outside it light is unattenuated
     """
 
-    score: np.ndarray
-    position: np.ndarray
-    direction: np.ndarray
-    reflected: np.ndarray | None
-    sums: np.ndarray
+    score: Floats
+    position: Floats
+    direction: Floats
+    reflected: Floats | None
+    sums: Floats
     shade: Box
 
     @classmethod
-    def dark(cls, shape, box, directions, occluded):
-        """Of beams of some directions (n, 3) that are still to be sent."""
+    def dark(cls, shape: tuple[int, ...], box: Box, directions: Floats, occluded: bool) -> Self:
+        """Scores of 0, for beams of the directions (n, 3)."""
         one = len(directions) == 1
         direction = directions[0] if one else np.zeros((3, *shape), np.float32)
         reflected = np.zeros(box.shape, np.float32) if occluded else None
-        grids = np.zeros(shape, np.float32), np.zeros((3, *box.shape), np.float32)
-        return cls(*grids, direction, reflected, np.zeros(STOPPED + 1), Box.all(shape))
+        score, position = np.zeros(shape, np.float32), np.zeros((3, *box.shape), np.float32)
+        sums = np.zeros(STOPPED + 1)
+        return cls(score, position, direction, reflected, sums, Box.all(shape))
 
-    def add(self, turn, tallies):
+    def add(self, turn: Turn, tallies: Tallies) -> None:
         """Add turned `Tallies`."""
-        if tallies.toward is None:  # of a single beam: there is nothing yet
+        if tallies.toward is None:  # of a single beam: all scores are still 0
             self.score = turn.back(tallies.score)
         else:
             self.score += turn.back(tallies.score)
-        if tallies.reflected is not None:
+        if self.reflected is not None and tallies.reflected is not None:
             self.reflected += turn.back(tallies.reflected)
         for number, axis in enumerate(turn.order):
             self.position[axis] += turn.back(tallies.position[number])
@@ -166,35 +173,46 @@ class _Scores:
         self.sums[:STOPPED] += turn.by_face(tallies.sums[:STOPPED])
         self.sums[STOPPED] += tallies.sums[STOPPED]
 
-    def let_out(self, beam, rays, beside):
-        """Add what is left of a beam's rays; how many rays cross the domain."""
+    def add_leaving(self, beam: Beam, rays: Floats, beside: int) -> int:
+        """Add the rays of a beam that leave the domain; the number of rays that cross it.
+
+        rays, beside  as of `NumpySweep.run`, of this beam
+        """
         left, count = beam.leaving(rays, beside)
         self.sums[:STOPPED] += beam.share * beam.turn.by_face(left)
         return count
 
 
-def cast(medium, light, band, sigma_t, device=None, per_edge=10, monitor=UNHEARD, box=None):
-    """Send the unscattered light of one light and band through a medium.
+def cast(
+    medium: Medium,
+    light: Light,
+    band: int,
+    sigma_t: float,
+    device: Device | str | None = None,
+    per_edge: int = 10,
+    monitor: Monitor = UNHEARD,
+    box: Box | None = None,
+) -> Cast:
+    """Send the uncollided light of one light and band through a medium.
 
-    medium    a `Medium`
-    light     a `Light`
-    sigma_t   extinction at density 1 to reckon with, 1/m
+    sigma_t   extinction coefficient at density 1, 1/m
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
-    per_edge  rays along a voxel's edge: see `rays` of each light
-    monitor   a `Monitor`, whose `check` ends the cast where the user cancels
-    box       a `Box` that holds all matter, and all that shines; None for the whole domain
-    Returns a `Cast`, on a device always the same. Raises LightError or DeviceError.
+    per_edge  rays along a voxel's edge; see `rays` and `suns` of each light
+    monitor   its `check` ends the cast if the user cancels
+    box       a `Box` that holds all matter and all emission; None for the whole domain
+    Returns a `Cast`, reproducible on each device. Raises LightError, DeviceError or Cancelled.
     """
-    device, box = devices.choose(device), box or Box.all(medium.shape)
+    chosen: Device = devices.choose(device)
+    box = box or Box.all(medium.shape)
     if isinstance(light, DistantLight):
-        return _swept(medium, box, light, band, sigma_t, device, per_edge, monitor)
-    return _marched(medium, box, light, band, sigma_t, device, per_edge, monitor)
+        return _swept(medium, box, light, band, sigma_t, chosen, per_edge, monitor)
+    return _marched(medium, box, light, band, sigma_t, chosen, per_edge, monitor)
 
 
-def plan(shape, occluded=True):
+def plan(shape: tuple[int, ...], occluded: bool = True) -> tuple[dict[str, int], int]:
     """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
     voxels = prod(shape)
-    buffers = {"unscattered light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
+    buffers = {"uncollided light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
     if occluded:
         buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
     kinds = TALLIES + (1 if occluded else 0)
@@ -203,13 +221,22 @@ def plan(shape, occluded=True):
     return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
 
 
-def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
-    """The `Cast` of what shines from a place: ray by ray."""
+def _marched(
+    medium: Medium,
+    box: Box,
+    light: Light,
+    band: int,
+    sigma_t: float,
+    device: Device,
+    per_edge: int,
+    monitor: Monitor,
+) -> Cast:
+    """The `Cast` of a light by its rays, followed one by one."""
     everywhere = Box.all(medium.shape)
     march = backend_of(device).march(_voxels(medium, everywhere, band, sigma_t))
     strongest, pieces = light.rays(medium, band, per_edge)
     entered = 0.0
-    for origins, directions, power in _gathered(pieces) if strongest > 0 else ():
+    for origins, directions, power in _joined(pieces) if strongest > 0 else ():
         monitor.check()
         places, hit, starts, faces = enter(medium.domain, origins, directions)
         power = power[hit]
@@ -221,23 +248,33 @@ def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
     reflected = None if reflected is None else box.of(reflected)
     position = box.of(tallies[POSITION])
     scores = _Scores(tallies[SCORE], position, tallies[DIRECTION], reflected, sums, everywhere)
-    found = _cast(medium, box, sigma_t, strongest, scores, entered)
+    result = _cast(medium, box, sigma_t, strongest, scores, entered)
     softness = light.softness(medium.domain)
-    return found if softness is None else _softened(found, box, softness.astype(np.float32))
+    return result if softness is None else _softened(result, box, softness.astype(np.float32))
 
 
-def _swept(medium, box, light, band, sigma_t, device, per_edge, monitor):
-    """The `Cast` of what shines as suns do: of each of these, by layers."""
-    directions, strengths, of_each = light.suns(medium, band, per_edge)
-    lattice, strongest = rank_1(of_each**2), float(strengths.max(initial=0))
-    # A column of voxels is as wide as the cosine of the angle that it is seen at.
+def _swept(
+    medium: Medium,
+    box: Box,
+    light: DistantLight,
+    band: int,
+    sigma_t: float,
+    device: Device,
+    per_edge: int,
+    monitor: Monitor,
+) -> Cast:
+    """The `Cast` of a light by its parallel beams, layer by layer."""
+    directions, strengths, per_edge_of_each = light.suns(medium, band, per_edge)
+    lattice, strongest = rank_1(per_edge_of_each**2), float(strengths.max(initial=0))
+    # A beam sees the cross-section of a column of voxels foreshortened by its cosine.
     shares = strengths / (strongest or 1.0) * np.abs(directions).max(axis=1)
-    # W of a ray of weight 1; for one that gathers light the weight is that of a voxel's edge.
+    # W of a ray of weight 1. Of emission, a weight of 1 is that which a ray gains along the edge
+    # of the brightest voxel.
     unit = strongest * medium.voxel_size**2 / lattice.shape[1]
     glow, entered = None, 0.0
     if isinstance(light, Emission):
         emission = light.spectrum[band]
-        brightest = max(float(emission.max()), np.finfo(np.float32).tiny)
+        brightest: Any = max(float(emission.max()), np.finfo(np.float32).tiny)
         glow = box.of(emission) / brightest
         unit *= brightest * medium.voxel_size
         entered = float(emission.sum(dtype=float)) * medium.voxel_size**3
@@ -249,13 +286,13 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, monitor):
         directed = len(directions) > 1
         sweep = backend_of(device).sweep(turn, voxels.of(turn.turned), directed)
         beams = [
-            Beam(directions[n], shares[n], turn, (lattice + shift_of(n)) % 1)
+            Beam(directions[n], shares[n], turn, np.add(lattice, shift_of(int(n))) % 1)
             for n in np.flatnonzero((longest == axis) & (shares > 0))
         ]
-        for some in _from_one_side(beams):
-            rays, beside = sweep.run(some, monitor)
-            for beam, left in zip(some, rays, strict=True):
-                count = scores.let_out(beam, left, beside)
+        for group in _from_one_side(beams):
+            rays, beside = sweep.run(group, monitor)
+            for beam, leaving in zip(group, rays, strict=True):
+                count = scores.add_leaving(beam, leaving, beside)
                 entered += 0.0 if glow is not None else unit * beam.share * count
         scores.add(turn, sweep.read())
         if len(directions) == 1:
@@ -263,16 +300,18 @@ def _swept(medium, box, light, band, sigma_t, device, per_edge, monitor):
     return _cast(medium, box, sigma_t, unit, scores, entered)
 
 
-def _from_one_side(beams):
-    """[[beam]]: so many as are sent at once."""
+def _from_one_side(beams: Sequence[Beam]) -> Iterator[list[Beam]]:
+    """Groups of beams to send at once: from one side, and few enough for memory."""
     for backward in (False, True):
-        some = [beam for beam in beams if beam.backward[0] == backward]
-        for first in range(0, len(some), _BEAMS_AT_ONCE):
-            yield some[first : first + _BEAMS_AT_ONCE]
+        side = [beam for beam in beams if beam.backward[0] == backward]
+        for first in range(0, len(side), _BEAMS_AT_ONCE):
+            yield side[first : first + _BEAMS_AT_ONCE]
 
 
-def _voxels(medium, box, band, sigma_t, glow=None):
-    """The `Voxels` of a box; glow is theirs."""
+def _voxels(
+    medium: Medium, box: Box, band: int, sigma_t: float, glow: Floats | None = None
+) -> Voxels:
+    """The `Voxels` of a box, with the emission `glow` of its voxels."""
     occlusion = reflecting = None
     if medium.occlusion is not None:
         occlusion = box.of(medium.occlusion)
@@ -280,9 +319,10 @@ def _voxels(medium, box, band, sigma_t, glow=None):
     return Voxels(medium.depth(sigma_t, box), glow, occlusion, reflecting)
 
 
-def _gathered(pieces):
+def _joined(pieces: Iterable[Photons]) -> Iterator[list[Floats]]:
     """The same rays in larger pieces."""
-    waiting, count = [], 0
+    waiting: list[Photons] = []
+    count = 0
     for piece in pieces:
         waiting.append(piece)
         count += len(piece[2])
@@ -293,8 +333,10 @@ def _gathered(pieces):
         yield [np.concatenate(parts) for parts in zip(*waiting, strict=True)]
 
 
-def _cast(medium, box, sigma_t, unit, scores, entered):
-    """The `Cast` of `_Scores`."""
+def _cast(
+    medium: Medium, box: Box, sigma_t: float, unit: float, scores: _Scores, entered: float
+) -> Cast:
+    """The `Cast` of `_Scores`; unit is the power of a ray of weight 1, W."""
     h, depth, score = medium.voxel_size, medium.depth(sigma_t, box), box.of(scores.score)
     direct, colliding = _product(unit / h**2, scores.score), unit * np.minimum(1, depth)
     box.of(direct)[...] /= np.maximum(1, depth)
@@ -314,8 +356,9 @@ def _cast(medium, box, sigma_t, unit, scores, entered):
     return Cast(direct, toward, scores.shade, collided, reflected, left, stopped, entered)
 
 
-def _softened(cast, box, softness):
-    """Of a `Cast` of a point the share, (nx, ny, nz), that a lamp sends; the rest never was."""
+def _softened(cast: Cast, box: Box, softness: Floats) -> Cast:
+    """The `Cast` of a point light, scaled in each voxel by a lamp's softness (nx, ny, nz); the
+    missing power counts as not emitted."""
     cast.direct *= softness
     cast.toward *= softness
     collided, softness = cast.collided, box.of(softness)
@@ -325,7 +368,7 @@ def _softened(cast, box, softness):
     return cast
 
 
-def _product(factor, values):
-    """float32, but in between float64: neither of the two need fit into the other."""
+def _product(factor: float | Array, values: Array) -> Floats:
+    """The product in float32, computed in float64 so that neither factor needs to fit float32."""
     out = np.empty(np.broadcast_shapes(np.shape(factor), values.shape), np.float32)
     return np.multiply(factor, values, out=out, dtype=float, casting="same_kind")

@@ -1,24 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays of lamps, each followed on its own from voxel to voxel (Amanatides and Woo, "A fast voxel
-traversal algorithm for ray tracing", 1987)."""
+"""Rays of lamps, each followed from voxel to voxel (Amanatides and Woo, "A fast voxel traversal
+algorithm for ray tracing", 1987)."""
 
 import numpy as np
 
-from .attenuation import fade
-from .sweep import STOPPED
+from ...arrays import Booleans, Floats, Integers
+from ..medium import Domain
+from .attenuation import attenuate
+from .sweep import STOPPED, Voxels
 
-# What a voxel's tallies count, as in kernels/uncollided/march.cl.
+# The kinds of a voxel's tallies, as in kernels/uncollided/march.cl.
 SCORE, POSITION, DIRECTION, TALLIES = 0, slice(1, 4), slice(4, 7), 7
-_BORDER = 1e-6  # voxels from a face of the domain within which a ray comes from outside
-_SLOWEST = 1e-18  # a direction's component closer to zero than this is taken for this
+_BORDER = 1e-6  # voxels from a face of the domain within which a ray counts as from outside
+_SLOWEST = 1e-18  # components of a direction closer to zero than this are replaced by this
+
+type Starts = tuple[Floats, Booleans, Integers, Integers]
+"""See `enter`."""
 
 
-def enter(domain, origins, directions):
-    """Where rays ((n, 3) m, world space, and (n, 3)) begin their way through the domain's voxels.
+def enter(domain: Domain, origins: Floats, directions: Floats) -> Starts:
+    """The starts of rays in the domain's voxels.
 
-    Returns ((m, 3) the places in their first voxels, from 0 where a ray that goes this way enters
-    to 1 where it leaves; which (n,) rays these are; (m,) the voxels; (m,) the faces of the domain
-    -x, +x, -y, +y, -z, +z that they come through, or -1 where they begin inside).
+    origins     (n, 3) m, world space
+    directions  (n, 3)
+    Returns the places (m, 3) in the first voxels, from 0 where a ray of this direction enters a
+    voxel to 1 where it leaves it; which (n,) of the rays cross the domain; their first voxels (m,);
+    and the faces (m,) of the domain, -x, +x, -y, +y, -z, +z, through which they enter, or -1 for
+    rays that start inside.
     """
     shape = np.array(domain.shape)
     points = (origins - domain.origin) / domain.voxel_size
@@ -26,7 +34,7 @@ def enter(domain, origins, directions):
     with np.errstate(divide="ignore", invalid="ignore"):
         begin = (np.where(forward, 0, shape) - points) / directions
         end = (np.where(forward, shape, 0) - points) / directions
-    level = directions == 0  # such a ray is between two faces for ever, or never
+    level = directions == 0  # such a ray is always between two faces, or never
     begin[level] = -np.inf
     end[level] = np.where((points >= 0) & (points <= shape), np.inf, -np.inf)[level]
     axis = begin.argmax(axis=1)
@@ -47,14 +55,13 @@ def enter(domain, origins, directions):
     return places[hit], hit, starts[hit], faces[hit]
 
 
-def _toward(sun):
-    return np.divide(sun.direction, np.linalg.norm(sun.direction))
-
-
 class NumpyMarch:
-    """Rays through voxels in float64, the twin of kernels/uncollided/march.cl: see there."""
+    """Rays through voxels in float64, the twin of kernels/uncollided/march.cl.
 
-    def __init__(self, voxels):
+    voxels  `Voxels` of the domain, without a glow
+    """
+
+    def __init__(self, voxels: Voxels) -> None:
         self.voxels, self.shape = voxels, voxels.depth.shape
         self.tallies = np.zeros((TALLIES, voxels.depth.size))
         self.reflected = None
@@ -62,41 +69,60 @@ class NumpyMarch:
             self.reflected = np.zeros((1, voxels.depth.size))
         self.sums = np.zeros(STOPPED + 1)
 
-    def read(self):
-        """(tallies, reflected, sums), in weights: as in kernels/uncollided/march.cl, by kind and
-        voxel.
+    def read(self) -> tuple[Floats, Floats | None, Floats]:
+        """(TALLIES, nx, ny, nz) tallies, (nx, ny, nz) reflected light, and sums (7,), in weights:
+        as in kernels/uncollided/march.cl.
 
-        reflected is None without opaque voxels.
+        The reflected light is None without opaque voxels.
         """
         reflected = None if self.reflected is None else self.reflected.reshape(self.shape)
         return self.tallies.reshape(-1, *self.shape), reflected, self.sums
 
-    def march(self, places, directions, weights, starts, faces):
+    def march(
+        self,
+        places: Floats,
+        directions: Floats,
+        weights: Floats,
+        starts: Integers,
+        faces: Integers,
+    ) -> None:
         """Send rays.
 
-        places, starts, faces  (n, 3), (n,) and (n,) as `enter` returns them
+        places, starts, faces  (n, 3), (n,) and (n,), as of `enter`
         directions             (n, 3) unit vectors
         weights                (n,) from 0 to 1
         """
         weights = weights - self._stop_at_border(weights, starts, faces)
-        ahead = np.stack(np.unravel_index(starts, self.shape), axis=1)
-        ahead = np.where(directions < 0, ahead, np.array(self.shape) - 1 - ahead)
+        voxels = np.stack(np.unravel_index(starts, self.shape), axis=1)
+        ahead: Integers = np.where(directions < 0, voxels, np.array(self.shape) - 1 - voxels)
         rays = (places, directions, weights, starts, ahead)
         while len(rays[0]):
             rays = self._cross(*rays)
 
-    def _stop_at_border(self, weights, starts, faces):
-        """What of light from outside the first voxels stop; what they reflect leaves again."""
-        if self.reflected is None:
+    def _stop_at_border(self, weights: Floats, starts: Integers, faces: Integers) -> Floats | float:
+        """The light from outside that the first voxels stop; what they reflect of it leaves."""
+        occlusion, reflecting = self.voxels.occlusion, self.voxels.reflecting
+        if occlusion is None or reflecting is None:
             return 0.0
-        stopped = np.where(faces >= 0, weights * self.voxels.occlusion.flat[starts], 0)
-        back = np.where(faces >= 0, weights * self.voxels.reflecting.flat[starts], 0)
+        stopped = np.where(faces >= 0, weights * occlusion.flat[starts], 0)
+        back = np.where(faces >= 0, weights * reflecting.flat[starts], 0)
         self.sums[:STOPPED] += np.bincount(np.maximum(faces, 0), back, STOPPED)
         self.sums[STOPPED] += (stopped - back).sum()
         return stopped
 
-    def _cross(self, places, directions, weights, at, ahead):
-        """Take rays through a voxel each; those that are still in the domain."""
+    def _cross(
+        self,
+        places: Floats,
+        directions: Floats,
+        weights: Floats,
+        at: Integers,
+        ahead: Integers,
+    ) -> tuple[Floats, Floats, Floats, Integers, Integers]:
+        """Take rays through a voxel each; the same of the rays that are still in the domain.
+
+        at     (n,), the voxel
+        ahead  (n, 3), the number of voxels ahead along each axis
+        """
         speed = np.maximum(np.abs(directions), _SLOWEST)
         ways = (1 - places) / speed
         axis = ways.argmin(axis=1)
@@ -110,25 +136,33 @@ class NumpyMarch:
         ahead[rays, axis] -= 1
         sign = np.where(directions < 0, -1, 1)[rays, axis]
         leaving = ahead[rays, axis] < 0
-        through = 2 * axis + (sign > 0)
-        self.sums[:STOPPED] += np.bincount(through[leaving], weights[leaving], STOPPED)
+        face = 2 * axis + (sign > 0)
+        self.sums[:STOPPED] += np.bincount(face[leaving], weights[leaving], STOPPED)
 
-        on = ~leaving
+        inside = ~leaving
         strides = np.array((self.shape[1] * self.shape[2], self.shape[2], 1))
         following = at + sign * strides[axis]
         if self.reflected is not None:
-            stopped = self._stop(weights[on], at[on], following[on])
+            stopped = self._stop(weights[inside], at[inside], following[inside])
             weights = weights.copy()
-            weights[on] -= stopped
+            weights[inside] -= stopped
         places[rays, axis] = 0
-        return tuple(v[on] for v in (places, directions, weights, following, ahead))
+        return (
+            places[inside],
+            directions[inside],
+            weights[inside],
+            following[inside],
+            ahead[inside],
+        )
 
-    def _score(self, places, directions, weights, at, way):
-        """Tally the rays' ways through their voxels; their weights after it."""
+    def _score(
+        self, places: Floats, directions: Floats, weights: Floats, at: Integers, way: Floats
+    ) -> Floats:
+        """Tally the rays' paths through their voxels, of lengths `way`; their weights after it."""
         edge = self.voxels.depth.flat[at]
         depth = edge * way
-        through, mean, _, place = fade(depth)
-        total = weights * np.where(edge > 1, 1 - through, way * mean)
+        transmittance, mean, _, place = attenuate(depth)
+        total = weights * np.where(edge > 1, 1 - transmittance, way * mean)
         along = total * way * place
         sign = np.where(directions < 0, -1, 1)
         position = sign * (total[:, None] * (places - 0.5)) + along[:, None] * directions
@@ -136,15 +170,18 @@ class NumpyMarch:
         for n in range(3):
             self._add(self.tallies, POSITION.start + n, at, position[:, n])
             self._add(self.tallies, DIRECTION.start + n, at, total * directions[:, n])
-        return weights * through
+        return weights * transmittance
 
-    def _stop(self, weights, at, following):
-        """What the next voxels stop, (n,), after what they reflect is tallied."""
-        stopped = weights * self.voxels.occlusion.flat[following]
-        back = weights * self.voxels.reflecting.flat[following]
+    def _stop(self, weights: Floats, at: Integers, following: Integers) -> Floats | float:
+        """The light, (n,), that the next voxels stop; what they reflect of it is tallied."""
+        occlusion, reflecting = self.voxels.occlusion, self.voxels.reflecting
+        if self.reflected is None or occlusion is None or reflecting is None:
+            return 0.0
+        stopped = weights * occlusion.flat[following]
+        back = weights * reflecting.flat[following]
         self._add(self.reflected, SCORE, at, back)
         self.sums[STOPPED] += (stopped - back).sum()
         return stopped
 
-    def _add(self, tallies, kind, at, scores):
+    def _add(self, tallies: Floats, kind: int, at: Integers, scores: Floats) -> None:
         tallies[kind] += np.bincount(at, scores, tallies.shape[1])

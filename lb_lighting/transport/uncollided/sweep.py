@@ -1,82 +1,93 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parallel light through voxels, layer by layer: the unscattered light of suns, skies and glow.
+"""Parallel beams through voxels, layer by layer: uncollided light of suns, skies and emission.
 
-Rays start at the same places above each column of voxels, layers lie across the axis that they
-follow most, and all rays of one number cross the voxels of a layer alike. So a voxel can look up
-the rays that cross it, and nothing is added to it from elsewhere. What is tallied of each is what
-`march.NumpyMarch` tallies of a ray on its own, and `kernels/uncollided/sweep.cl` does the same.
+Rays start at the same places above each column of voxels, and layers lie across the axis closest
+to the direction of the rays. All rays of one number then cross the voxels of a layer alike, so
+each voxel looks up the rays that cross it, and no two threads write to the same voxel. The tallies
+of a ray are those of `march.NumpyMarch`; kernels/uncollided/sweep.cl is the twin.
 
-Grids are turned: axes w, u and v, of which w is the one that rays follow most.
+Grids are turned to the axes w, u and v, of which w is the axis closest to the direction of the
+rays.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 
+from ...arrays import Floats, Integers, Vector
 from ..box import Box
-from ..monitor import UNHEARD
-from .attenuation import fade, own_place
+from ..monitor import UNHEARD, Monitor
+from .attenuation import attenuate, source_collision_place
+
+type Ends = tuple[int, int]
+"""The first index along an axis, and the one after the last."""
 
 NONE, U, V, U_THEN_V, V_THEN_U = range(5)
-# To the next voxel along u and v, one behind the other.
-_TURNS = ((), ((1, 0),), ((0, 1),), ((1, 0), (0, 1)), ((0, 1), (1, 0)))
-STOPPED = 6  # behind what came back through the faces -w, +w, -u, +u, -v, +v
+# By the order of crossings: the steps to the next voxels along u and v.
+_TURNS: list[list[tuple[int, int]]] = [[], [(1, 0)], [(0, 1)], [(1, 0), (0, 1)], [(0, 1), (1, 0)]]
+STOPPED = 6  # index in sums, after the faces -w, +w, -u, +u, -v, +v
 
 
 @dataclass(frozen=True)
 class Voxels:
-    """What rays meet: each (nx, ny, nz), or None.
+    """What rays meet: grids (nx, ny, nz), or None.
 
     depth       optical depth of a voxel's edge
     glow        emission, from 0 to 1
-    occlusion   share of arriving light that is stopped
-    reflecting  share of arriving light that is reflected
+    occlusion   share of the arriving light that opaque matter stops
+    reflecting  share of the arriving light that it reflects
     """
 
-    depth: np.ndarray
-    glow: np.ndarray | None
-    occlusion: np.ndarray | None
-    reflecting: np.ndarray | None
+    depth: Floats
+    glow: Floats | None
+    occlusion: Floats | None
+    reflecting: Floats | None
 
     @property
-    def grids(self):
+    def grids(self) -> tuple[Floats, Floats | None, Floats | None, Floats | None]:
+        """All four."""
         return self.depth, self.glow, self.occlusion, self.reflecting
 
-    def of(self, part):
-        """The same of what a function makes of each grid."""
-        return Voxels(*(None if grid is None else part(grid) for grid in self.grids))
+    def of(self, part: Callable[[Floats], Floats]) -> "Voxels":
+        """`Voxels` of the results of a function of a grid."""
+        others = (None if grid is None else part(grid) for grid in self.grids[1:])
+        return Voxels(part(self.depth), *others)
 
 
 class Turn:
-    """A domain of `shape` voxels, (nx, ny, nz), as light that follows an axis most finds it.
+    """The order of axes w, u, v for light whose direction is closest to an axis.
 
-    box  a `Box` that holds all that light meets, and all that shines
+    axis   0, 1 or 2: w
+    shape  (nx, ny, nz) of the domain; the attribute is (nw, nu, nv)
+    box    a `Box` that holds all matter and all emission
     """
 
-    def __init__(self, axis, shape, box):
+    def __init__(self, axis: int, shape: tuple[int, ...], box: Box) -> None:
         self.axis = axis
         self.order = [axis, *(other for other in range(3) if other != axis)]
-        self.shape = tuple(shape[n] for n in self.order)
+        self.shape: tuple[int, ...] = tuple(shape[n] for n in self.order)
         self.lower, self.upper = (
             tuple(ends[n] for n in self.order) for ends in (box.lower, box.upper)
         )
         self.inside = tuple(map(slice, self.lower, self.upper))
 
-    def turned(self, grid):
+    def turned(self, grid: Floats) -> Floats:
         """(nw, nu, nv) of a grid (nx, ny, nz), a view."""
         return grid.transpose(self.order)
 
-    def back(self, grid):
-        """The other way round."""
+    def back(self, grid: Floats) -> Floats:
+        """(nx, ny, nz) of a grid (nw, nu, nv), a view."""
         return grid.transpose(np.argsort(self.order))
 
-    def by_face(self, sums):
-        """(6,) by the faces -x, +x, -y, +y, -z, +z, of those by -w, +w, -u, +u, -v, +v."""
+    def by_face(self, sums: Floats) -> Floats:
+        """(6,) by the faces -x, +x, -y, +y, -z, +z, of sums by -w, +w, -u, +u, -v, +v."""
         return np.reshape(sums, (3, 2))[np.argsort(self.order)].ravel()
 
     @property
-    def box_shape(self):
+    def box_shape(self) -> tuple[int, ...]:
+        """(3,) voxels of the box along w, u and v."""
         return tuple(np.subtract(self.upper, self.lower).tolist())
 
 
@@ -84,20 +95,20 @@ class Beam:
     """Parallel rays through a turned domain.
 
     direction  (3,) unit vector, along x, y and z
-    share      of the weight of a ray, from 0 to 1
-    turn       a `Turn` for its longest component
-    within     (2, count), where rays are above each column of voxels, from 0 to 1
+    share      weight of its rays over that of the strongest beam's, from 0 to 1
+    turn       a `Turn` for the longest component of the direction
+    within     (2, count), places of the rays above each column of voxels, from 0 to 1
     """
 
-    def __init__(self, direction, share, turn, within):
+    def __init__(self, direction: Vector, share: float, turn: Turn, within: Floats) -> None:
         self.turn, self.share, self.points = turn, share, within.T
         self.direction = np.asarray(direction)[turn.order]
         self.dw, self.du, self.dv = np.abs(self.direction)
         self.nw, self.nu, self.nv = turn.shape
         self.backward = self.direction < 0
         self.slopes = np.array((self.du, self.dv)) / self.dw
-        # The box [(first, end)] along w, u and v, as light comes to it.
-        self.box = [
+        # The `Ends` of the box along w, u and v, in the order in which light reaches the voxels.
+        self.box: list[Ends] = [
             (n - end, n - begin) if backward else (begin, end)
             for n, begin, end, backward in zip(
                 turn.shape, turn.lower, turn.upper, self.backward, strict=True
@@ -105,13 +116,13 @@ class Beam:
         ]
         self.beside = ceil(self.nw * self.slopes.max()) + 2
 
-    def flipped(self, grid):
-        """A view of a turned grid, as light comes to it."""
-        return np.flip(grid, np.flatnonzero(self.backward))
+    def flipped(self, grid: Floats) -> Floats:
+        """A view of a turned grid in the order in which light reaches the voxels."""
+        return np.flip(grid, tuple(np.flatnonzero(self.backward)))
 
-    def shaded(self, layer):
-        """[(first, end)] of columns along u and v where rays that have been in the box may be in
-        a layer; elsewhere nothing has met them."""
+    def shaded(self, layer: int) -> list[Ends]:
+        """The columns of a layer, along u and v, that rays may reach after they were in the box;
+        in all others, light is unattenuated."""
         (begin, end), *sides = self.box
         if layer < begin:
             return [(0, 0)] * 2
@@ -121,8 +132,8 @@ class Beam:
             for (first, last), slope, n in zip(sides, self.slopes, (self.nu, self.nv), strict=True)
         ]
 
-    def shade(self):
-        """The `Box` of all columns that `shaded` names, in any layer."""
+    def shade(self) -> Box:
+        """The `Box` of the columns of `shaded` in all layers."""
         turn, (begin, _), *sides = self.turn, *self.box
         ends = [(begin, self.nw)]
         for (first, last), slope, n in zip(sides, self.slopes, (self.nu, self.nv), strict=True):
@@ -134,18 +145,18 @@ class Beam:
         lower, upper = zip(*(ends[n] for n in np.argsort(turn.order)), strict=True)
         return Box(lower, upper, tuple(turn.shape[n] for n in np.argsort(turn.order)))
 
-    def unmet(self):
-        """The score of a voxel that rays cross before anything has met them."""
-        return np.float32(len(self.points) / self.dw)
+    def unattenuated(self) -> float:
+        """The score of a voxel that unattenuated rays cross."""
+        return float(len(self.points) / self.dw)
 
-    def ways(self):
-        """(nw, count, 8): the ways of rays through each layer, as kernels/uncollided/sweep.cl has
-        them."""
+    def ways(self) -> Floats:
+        """(nw, count, 8): the paths of the rays through each layer, in the format of `ways` in
+        kernels/uncollided/sweep.cl."""
         place = self.points + np.arange(self.nw)[:, None, None] * self.slopes
         columns = np.floor(place)
         place = place - columns
         with np.errstate(divide="ignore"):
-            crossing = np.minimum((1 - place) / self.slopes, 1)  # of the way through the layer
+            crossing = np.minimum((1 - place) / self.slopes, 1)  # share of the layer
         first, last = crossing.min(axis=-1), crossing.max(axis=-1)
         u_first = crossing[..., 0] <= crossing[..., 1]
         order = np.where(last < 1, np.where(u_first, U_THEN_V, V_THEN_U), np.where(u_first, U, V))
@@ -153,9 +164,12 @@ class Beam:
         lengths = np.stack([first, last - first, 1 - last], axis=-1) / self.dw
         return np.concatenate([columns, place, lengths, order[..., None]], axis=-1)
 
-    def leaving(self, rays, beside):
-        """((6,) sums of what is left of rays by the face that they leave through, -w, +w, -u, +u,
-        -v, +v; how many rays cross the domain). The rays are those of `run`."""
+    def leaving(self, rays: Floats, beside: int) -> tuple[Floats, int]:
+        """(6,), the weights with which rays leave, summed by the faces -w, +w, -u, +u, -v, +v; and
+        the number of rays that cross the domain.
+
+        rays, beside  as of `NumpySweep.run`
+        """
         cells = [np.arange(n + beside) - beside for n in (self.nu, self.nv)]
         u, v = (
             cell[None] + point[:, None] for cell, point in zip(cells, self.points.T, strict=True)
@@ -181,30 +195,31 @@ class Beam:
 
 @dataclass(frozen=True)
 class Tallies:
-    """What rays scored, in weights, by turned voxel; of the box is what only matter has.
+    """Scores of rays, in weights, by turned voxel of the domain or of the box.
 
     score      (nw, nu, nv)
-    toward     (3, nw, nu, nv), score times the direction along w, u and v; None where not asked for
-    position   (3, of the box), score times the place from the voxel's centre
-    reflected  (of the box), what opaque voxels send back into each; None without these
-    sums       (7,), what those reflect out of the domain by face, and at STOPPED what they keep
+    toward     (3, nw, nu, nv), score times the direction along w, u and v; None if not tallied
+    position   (3, of the box), score times the place relative to the voxel's centre
+    reflected  (of the box), the light that opaque voxels reflect into each voxel; None without them
+    sums       (7,), the light that opaque voxels reflect out of the domain by face, and at STOPPED
+               the light that they absorb
     """
 
-    score: np.ndarray
-    toward: np.ndarray | None
-    position: np.ndarray
-    reflected: np.ndarray | None
-    sums: np.ndarray
+    score: Floats
+    toward: Floats | None
+    position: Floats
+    reflected: Floats | None
+    sums: Floats
 
 
 class NumpySweep:
     """Beams through voxels in float64, the twin of kernels/uncollided/sweep.cl.
 
     voxels    `Voxels` of the box of a `Turn`, turned
-    directed  whether the beams have different directions, which must be tallied then
+    directed  whether the beams have different directions, which are tallied then
     """
 
-    def __init__(self, turn, voxels, directed):
+    def __init__(self, turn: Turn, voxels: Voxels, directed: bool) -> None:
         self.turn, self.voxels = turn, voxels
         self.score = np.zeros(turn.shape)
         self.toward = np.zeros((3, *turn.shape)) if directed else None
@@ -212,36 +227,37 @@ class NumpySweep:
         self.reflected = None if voxels.occlusion is None else np.zeros(turn.box_shape)
         self.sums = np.zeros(STOPPED + 1)
 
-    def read(self):
+    def read(self) -> Tallies:
         """The `Tallies` of all beams."""
         return Tallies(self.score, self.toward, self.position, self.reflected, self.sums)
 
-    def run(self, beams, monitor=UNHEARD):
+    def run(self, beams: Sequence[Beam], monitor: Monitor = UNHEARD) -> tuple[Floats, int]:
         """Send beams that come from the same side.
 
-        Returns ((beams, count, nu + beside, nv + beside) the weights that their rays are left
-        with, by number and column; beside: columns begin so many before the domain, for rays that
-        enter through its sides).
+        Returns (beams, count, nu + beside, nv + beside), the weights with which rays leave, by
+        number and column; and beside, the number of columns before the domain in which rays start
+        that enter through its sides.
         """
         beside = max(beam.beside for beam in beams)
         rays = [self._sent(beam, beside, monitor) for beam in beams]
         return np.array(rays), beside
 
-    def _sent(self, beam, beside, monitor):
+    def _sent(self, beam: Beam, beside: int, monitor: Monitor) -> Floats:
         """Send a beam; its rays as of `run`."""
         shape = (len(beam.points), beam.nu + beside, beam.nv + beside)
         rays = np.zeros(shape) if self.voxels.glow is not None else np.ones(shape)
-        way_of = _Way(beam, self.voxels, self.turn)
+        crossing = _Crossing(beam, self.voxels, self.turn)
         for layer, ways in enumerate(beam.ways()):
             monitor.check()
             for number, way in enumerate(ways):
-                way_of.cross(rays[number], layer, way, beside)
-        self._take(beam, way_of)
+                crossing.cross(rays[number], layer, way, beside)
+        self._add(beam, crossing)
         return rays
 
-    def _take(self, beam, way):
+    def _add(self, beam: Beam, crossing: "_Crossing") -> None:
+        """Add the tallies of a beam."""
         share, inside = beam.share, self.turn.inside
-        score, *position, reflected = (beam.flipped(g[:, 1:-1, 1:-1]) for g in way.tallies)
+        score, *position, reflected = (beam.flipped(g[:, 1:-1, 1:-1]) for g in crossing.tallies)
         self.score += share * score
         for n, backward in enumerate(beam.backward):
             sign = -share if backward else share
@@ -250,72 +266,76 @@ class NumpySweep:
                 self.toward[n] += share * beam.direction[n] * score
         if self.reflected is not None:
             self.reflected += share * reflected[inside]
-        faces = 2 * np.arange(3) + beam.backward  # that rays come in through
-        self.sums[faces] += share * way.back
-        self.sums[STOPPED] += share * way.stopped
+        entry_faces = 2 * np.arange(3) + beam.backward
+        self.sums[entry_faces] += share * crossing.back
+        self.sums[STOPPED] += share * crossing.stopped
 
 
 class NumpyGlow:
-    """Beams that gather a light of their own, in float64, the twin of kernels/uncollided/sweep.cl.
+    """Beams that each gain light from an emission that only they see, in float64; the twin of
+    kernels/uncollided/sweep.cl.
 
     turn   a `Turn`
     depth  optical depth of a voxel's edge, of its box, turned
     """
 
-    def __init__(self, turn, depth):
+    def __init__(self, turn: Turn, depth: Floats) -> None:
         self.turn, self.depth = turn, depth
 
-    def run(self, beams, glows, monitor=UNHEARD):
-        """Send beams that come from the same side through what shines: glows, one of the box for
-        each, turned, in radiance a voxel's edge.
+    def run(
+        self, beams: Sequence[Beam], glows: Sequence[Floats], monitor: Monitor = UNHEARD
+    ) -> Floats:
+        """Send beams that come from the same side.
 
-        Returns (beams, nw, nu, nv), turned: what their rays score, of a share of 1.
+        glows  for each beam the emission in the box, turned, in radiance per voxel edge
+        Returns (beams, nw, nu, nv), turned: the scores of the rays, for a share of 1.
         """
-        found = np.zeros((len(beams), *self.turn.shape))
-        for score, beam, glow in zip(found, beams, glows, strict=True):
+        scores = np.zeros((len(beams), *self.turn.shape))
+        for score, beam, glow in zip(scores, beams, glows, strict=True):
             sweep = NumpySweep(self.turn, Voxels(self.depth, glow, None, None), directed=False)
             sweep.run([beam], monitor)
             score[...] = sweep.score
-        return found
+        return scores
 
 
-class _Way:
-    """A beam on its way, with all grids as it finds them and a border around each layer.
+class _Crossing:
+    """A beam on its way through the domain; grids are flipped, with a border around each layer.
 
-    tallies  score, score times the place from the voxel's centre along w, u and v, reflected light
-    back     (3,) what opaque voxels reflect out of the domain, through the sides that rays enter by
-    stopped  what those keep
+    tallies  score; score times the place relative to the voxel's centre along w, u and v; reflected
+             light
+    back     (3,), the light that opaque voxels reflect out of the domain, by the sides of entry
+    stopped  the light that opaque voxels absorb
     """
 
-    def __init__(self, beam, voxels, turn):
+    def __init__(self, beam: Beam, voxels: Voxels, turn: Turn) -> None:
         self.beam, self.back, self.stopped = beam, np.zeros(3), 0.0
         self.tallies = np.zeros((5, beam.nw, beam.nu + 2, beam.nv + 2))
-        self.depth, self.glow, self.occlusion, self.reflecting = (
-            None if grid is None else self._bordered(grid, turn) for grid in voxels.grids
-        )
+        bordered = voxels.of(lambda grid: self._bordered(grid, turn))
+        self.depth, self.glow, self.occlusion, self.reflecting = bordered.grids
 
-    def _bordered(self, grid, turn):
-        whole = np.zeros((self.beam.nw + 1, self.beam.nu + 2, self.beam.nv + 2))  # nothing behind
-        self.beam.flipped(whole[:-1, 1:-1, 1:-1])[turn.inside] = grid
-        return whole
+    def _bordered(self, grid: Floats, turn: Turn) -> Floats:
+        """A grid of the box in the domain, with an empty border and an empty layer behind."""
+        domain = np.zeros((self.beam.nw + 1, self.beam.nu + 2, self.beam.nv + 2))
+        self.beam.flipped(domain[:-1, 1:-1, 1:-1])[turn.inside] = grid
+        return domain
 
-    def cross(self, rays, layer, way, beside):
+    def cross(self, rays: Floats, layer: int, way: Floats, beside: int) -> None:
         """Take the rays of a number, (nu + beside, nv + beside), through a layer."""
         beam, columns = self.beam, way[:2].astype(int)
         begin = beside - 1 - columns
-        there = tuple(slice(a, a + n + 1) for a, n in zip(begin, (beam.nu, beam.nv), strict=True))
+        window = tuple(slice(a, a + n + 1) for a, n in zip(begin, (beam.nu, beam.nv), strict=True))
         place, voxel = np.append(way[2:4], 0.0), np.zeros(2, int)
         step = np.array((beam.du, beam.dv, beam.dw))
-        entry = 0 if layer == 0 else None  # the axis that rays have come along, into the domain
+        entry = 0 if layer == 0 else None  # the axis along which rays enter the domain
         for length, turn in zip(way[4:7], (*_TURNS[int(way[7])], None), strict=False):
             at = (layer, *self._columns(voxel))
-            following = (
-                (layer + 1, *at[1:]) if turn is None else (layer, *self._columns(voxel + turn))
-            )
-            weights = self._enter(rays[there], at, entry)
-            rays[there] = self._score(weights, at, length, place, step)
+            following = layer + 1, *at[1:]
+            if turn is not None:
+                following = layer, *self._columns(np.add(voxel, turn))
+            weights = self._enter(rays[window], at, entry)
+            rays[window] = self._score(weights, at, length, place, step)
             if self.reflecting is not None:
-                self.tallies[(4, *at)] += rays[there] * self.reflecting[following]
+                self.tallies[(4, *at)] += rays[window] * self.reflecting[following]
             if turn is None:
                 return
             place = place + length * step
@@ -323,38 +343,47 @@ class _Way:
             voxel += turn
             entry = 1 + int(np.argmax(turn))
 
-    def _columns(self, voxel):
-        ends = zip(voxel, (self.beam.nu, self.beam.nv), strict=True)
-        return tuple(slice(a, a + n + 1) for a, n in ends)
+    def _columns(self, voxel: Integers) -> tuple[slice, slice]:
+        u, v = voxel
+        return slice(u, u + self.beam.nu + 1), slice(v, v + self.beam.nv + 1)
 
-    def _enter(self, weights, at, entry):
-        """What is left of rays that come into voxels; entry is the axis that they come along."""
-        if self.occlusion is None:
+    def _enter(self, weights: Floats, at: tuple[int, slice, slice], entry: int | None) -> Floats:
+        """The weights of rays after what is opaque in the voxels that they enter; entry is the
+        axis along which they come."""
+        if self.occlusion is None or self.reflecting is None:
             return weights
         occlusion, back = self.occlusion[at], weights * self.reflecting[at]
         self.stopped += float((weights * occlusion - back).sum())
         if entry == 0:
             self.back[0] += back.sum()
-        elif entry is not None:  # through a side: into the first row behind the border
-            first = [slice(None)] * 2
-            first[entry - 1] = 1 - at[entry].start
+        elif entry is not None:  # through a side: into the first row after the border
+            first: list[slice | int] = [slice(None)] * 2
+            first[entry - 1] = 1 - (at[1], at[2])[entry - 1].start
             self.back[entry] += back[tuple(first)].sum()
-        return weights * (1 - occlusion)
+        weights = weights * (1 - occlusion)
+        return weights
 
-    def _score(self, weights, at, length, place, step):
-        """Tally the way in the voxels; the weights behind it."""
+    def _score(
+        self,
+        weights: Floats,
+        at: tuple[int, slice, slice],
+        length: float,
+        place: Floats,
+        step: Floats,
+    ) -> Floats:
+        """Tally the paths in voxels; the weights behind them."""
         edge = self.depth[at]
         depth = edge * length
-        through, mean, lost, on = fade(depth)
-        total = weights * np.where(edge > 1, 1 - through, length * mean)
-        along = total * length * on
-        weights = weights * through
+        transmittance, mean, source_score, collision_place = attenuate(depth)
+        total = weights * np.where(edge > 1, 1 - transmittance, length * mean)
+        along = total * length * collision_place
+        weights = weights * transmittance
         if self.glow is not None:
-            fresh = self.glow[at] * length
-            own = fresh * np.where(edge > 1, 1 - mean, length * lost)
-            total = total + own
-            along = along + own * length * own_place(depth, mean, on)
-            weights = weights + fresh * mean
+            emitted = self.glow[at] * length
+            score = emitted * np.where(edge > 1, 1 - mean, length * source_score)
+            total = total + score
+            along = along + score * length * source_collision_place(depth, mean, collision_place)
+            weights = weights + emitted * mean
         self.tallies[(0, *at)] += total
         for kind, axis in ((1, 2), (2, 0), (3, 1)):  # along w, u, v
             self.tallies[(kind, *at)] += total * (place[axis] - 0.5) + along * step[axis]

@@ -12,7 +12,7 @@ from lb_lighting.transport.lattice import boundary
 from lb_lighting.transport.lattice.boundary import returned
 from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import LENGTHS, MEAN_LENGTH, MOVING, WEIGHTS
-from lb_lighting.transport.uncollided.attenuation import fade
+from lb_lighting.transport.uncollided.attenuation import attenuate
 
 UNIT = MOVING / LENGTHS[:, None]
 AXIS, FACE, CORNER, SKEW = (0, 0, 1), (1, 1, 0), (1, 1, 1), (1, 2, 0)
@@ -291,16 +291,16 @@ def slab(count, optical_depth, cosine, albedo=1.0, g=0.0):
     """
     depth, peak = optical_depth / count, g * g  # delta-Eddington, for g >= 0
     less = depth * (1 - albedo * peak) / cosine
-    through, mean, _, place = fade(np.full(count, less))
+    transmittance, mean, _, place = attenuate(np.full(count, less))
     entering = np.exp(-less * np.arange(count))
-    power = entering * (1 - through) * albedo * (1 - peak) / (1 - albedo * peak)
+    power = entering * (1 - transmittance) * albedo * (1 - peak) / (1 - albedo * peak)
     moved = power * (place - 0.5)
     turned = power * cosine * (g - peak) / (1 - peak)
     layers = Layers(count, depth, albedo, g)
     layers.converge(power, place=depth * (1 - albedo * g) * moved, direction=turned)
     reflected, transmitted = layers.left()
     flux = layers.flux_by_layer() - moved + entering * mean
-    return reflected, transmitted + entering[-1] * through[-1], flux
+    return reflected, transmitted + entering[-1] * transmittance[-1], flux
 
 
 def diffuse_slab(count, optical_depth):

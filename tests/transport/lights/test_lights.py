@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photons leave the lights as the laws of radiometry say.
+"""Photons of lights follow the laws of radiometry.
 
-Laws are tested on photons that were drawn one by one, and so are independent; powers on the means
-of many calls, whose spread is measured. Each such test would fail by chance for at most one seed
-in FALSE_ALARMS: Sidak's correction where it looks at several numbers.
+Distributions are tested on independent photons, each from a separate call; powers on the means of
+many calls, whose variance is measured. Each such test fails by chance for at most one seed in
+FALSE_ALARMS, with Sidak's correction for several numbers.
 """
 
 from functools import cache
@@ -70,12 +70,12 @@ every_light = pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
 @pytest.mark.parametrize("lowest", [-0.5, 0.0, 0.3])
 @pytest.mark.parametrize("per_edge", [4, 6, 7, 8, 11, 16])
 def test_few_suns_stand_for_a_part_of_the_sky(lowest, per_edge):
-    """Whatever their number; exact are 2 pi (1 - z) W/m^2 of fluence, and pi (1 - z^2) of flux."""
+    """For any number; the exact fluence is 2 pi (1 - z) W/m^2, and the flux pi (1 - z^2)."""
     sky = Sky(lambda towards: 1.0 * (towards[..., 2] > lowest))
     toward, irradiance, _ = sky.suns(MEDIUM, 0, per_edge)
     assert irradiance.sum() == pytest.approx(2 * pi * (1 - lowest), rel=0.01)
     off = toward.T @ irradiance + (0, 0, pi * (1 - lowest**2))
-    # Of as many at random it would be some .6 / per_edge.
+    # The same number of random ones has an error of about .6 / per_edge.
     assert np.linalg.norm(off) < 0.3 / per_edge * irradiance.sum()
 
 
@@ -85,15 +85,15 @@ def emitted(light, count=10_000, seed=1, band=0, medium=MEDIUM):
 
 @cache
 def alone(light, count=2000, band=0, medium=MEDIUM):
-    """Photons that are independent: each from a call of its own."""
+    """Independent photons: each from a separate call."""
     rng = np.random.default_rng(2)
     calls = [light.emit(1, medium, rng, band) for _ in range(count)]
     return tuple(np.concatenate(parts) for parts in zip(*calls, strict=True))
 
 
 def assert_law(values, cumulative):
-    """The independent values (n,) have this distribution function (Dvoretzky, Kiefer, Wolfowitz,
-    Massart: a bound for every n)."""
+    """The independent values (n,) have this distribution function (the inequality of Dvoretzky,
+    Kiefer, Wolfowitz and Massart, for all n)."""
     values = np.sort(values)
     expected, n = cumulative(values), len(values)
     step = np.arange(n + 1) / n
@@ -102,7 +102,7 @@ def assert_law(values, cumulative):
 
 
 def assert_shares(counts, expected):
-    """chi^2 of independent counts (k,), with Wilson's and Hilferty's normal approximation."""
+    """chi^2 of independent counts (k,), in the normal approximation of Wilson and Hilferty."""
     assert expected.min() >= 5
     chi2, k = ((counts - expected) ** 2 / expected).sum(), counts.size - 1
     deviation = (np.cbrt(chi2 / k) - (1 - 2 / (9 * k))) / np.sqrt(2 / (9 * k))
@@ -117,13 +117,13 @@ def assert_powers(light, measure, expected, calls=100, count=2000, band=0):
     error = found.std(axis=0, ddof=1) / np.sqrt(calls)
     confidence = (1 - 1 / FALSE_ALARMS) ** (1 / expected.size)
     limit = NormalDist().inv_cdf((1 + confidence) / 2)
-    # Evenly spread photons may tell a mean without any spread: then rounding is what is left.
+    # Low-discrepancy photons may have a mean without variance, up to rounding.
     assert np.all(np.abs(found.mean(axis=0) - expected) <= limit * error + 1e-9 * expected)
     return error
 
 
 def through_square(origins, directions, power):
-    """W through half of the box's middle plane across z: downwards, and upwards."""
+    """W through half of the box's middle plane across z, downwards and upwards."""
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (LOWER[2] + SIZE[2] / 2 - origins[:, 2]) / directions[:, 2]
         hit = origins + distance[:, None] * directions
@@ -134,7 +134,7 @@ def through_square(origins, directions, power):
 
 
 def faces(origins, directions):
-    """The face that each photon enters by: axis, and 3 more for the upper one."""
+    """The face through which each photon enters: its axis, plus 3 for the upper face."""
     on = np.concatenate((origins == LOWER, origins == UPPER), axis=1)
     inwards = np.concatenate((directions > 0, directions < 0), axis=1)
     assert np.all((on & inwards).any(axis=1))
@@ -160,13 +160,13 @@ def test_light_from_outside_enters_by_the_faces_inwards():
 
 
 @every_light
-def test_seed_tells_the_photons(light):
+def test_the_seed_determines_the_photons(light):
     first, same, other = (np.hstack(emitted(light, seed=seed)[:2]) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, same)
     assert np.any(first != other, axis=1).all()
 
 
-def test_calls_follow_each_other_with_other_photons():
+def test_consecutive_calls_draw_different_photons():
     rng = np.random.default_rng(1)
     one, two = (OBLIQUE.emit(1000, MEDIUM, rng, 0)[0] for _ in range(2))
     assert not (one == two).all(axis=1).any()
@@ -267,7 +267,7 @@ OVERHEAD = 2 * pi / 3 * HALF  # the integral of cosine^2 over the upper hemisphe
     ids=["sun", "even sky", "sky", "sky by single vectors", "constant sky", "two bands"],
 )
 def test_power_through_a_surface_inside(light, expected):
-    """Half of the middle plane gets its irradiance, by rays that entered through all faces."""
+    """Half of the middle plane gets its irradiance, from photons through all faces."""
     assert_powers(light, through_square, expected, band=1)
 
 
@@ -290,14 +290,14 @@ def test_power_by_face_of_a_sky_by_direction():
 
 
 def test_sky_that_its_cells_miss_is_not_lost():
-    """A ring between two rows of the cells' centres, beside a broad light that draws photons."""
+    """A ring between two rows of cell centres, with a broad light elsewhere that gets photons."""
     inner, outer = 0.48, 0.52
 
     def ring(towards):
         return (towards[..., 0] > inner) & (towards[..., 0] < outer)
 
     def antiderivative(x):
-        """Of the area that the box shows, integrated around x: its faces across x, and others."""
+        """Of the area of the box as seen, integrated around x: faces across x, and the others."""
         return pi * AREAS[0] * x**2 + 2 * (AREAS[1] + AREAS[2]) * (x * np.sqrt(1 - x**2) + asin(x))
 
     def from_ring(_origins, directions, power):
@@ -310,7 +310,7 @@ def test_sky_that_its_cells_miss_is_not_lost():
 
 
 def test_bright_part_of_a_sky_gets_the_photons():
-    """9 of 10 photons by the brightness of their band, and of the others what falls there."""
+    """9 of 10 photons follow the brightness of their band; 1 of 10 is distributed evenly."""
 
     def radiance(towards):
         return np.stack((-towards[..., 2] + 1, towards[..., 2] > 0.9), axis=-1)
@@ -335,7 +335,7 @@ def test_functions_of_single_vectors_give_the_same_light(single, both):
 
 
 def test_point_in_front_of_a_face_hits_it_by_its_solid_angle():
-    """The corner formula: a rectangle a x b, seen from d above a corner, is asin(...) wide."""
+    """The solid angle of a rectangle a x b, seen from d above a corner, is asin(...)."""
     a, b, d = SIZE[1] / 2, SIZE[2] / 2, 1.7
     solid_angle = 4 * asin(a * b / np.sqrt((a**2 + d**2) * (b**2 + d**2)))
     light = PointLight((UPPER[0] + d, *(LOWER + SIZE / 2)[1:]), (7.0, 1.0))
@@ -360,13 +360,13 @@ def test_point_outside_sends_a_cone_around_the_bounding_sphere():
         tilt = np.linalg.norm(np.delete(directions, axis, axis=1), axis=1)
         assert np.all(directions[:, axis] > 0)
         assert 0.99 * sine < tilt.max() <= sine * (1 + 1e-6)
-        # 1 - cosine, without losing its digits
+        # 1 - cosine without cancellation
         assert power.sum() == pytest.approx(sine**2 / (1 + np.sqrt(1 - sine**2)) / 2, rel=1e-6)
 
 
 @pytest.mark.parametrize("distance", [0.1, 0.5, 3.0])
 def test_a_soft_lamp_lights_as_a_disk_that_faces_the_place(distance):
-    """Of even radiance, so by the cosine at the disk; the means of rings of the same area."""
+    """A disk of uniform radiance (cosine law), integrated over rings of the same area."""
     radius, count = 0.5, 10_000
     squares = distance**2 + radius**2 * (np.arange(count) + 0.5) / count
     expected = np.mean(distance / squares**1.5)
@@ -393,20 +393,20 @@ def test_the_mean_falloff_is_that_of_points_in_each_voxel():
 
 
 def total_of(light):
-    """W that reach the box, photons counted that cross its bounding sphere."""
+    """W that reach the box, of the photons that cross its bounding sphere."""
     return np.mean([emitted(light, seed=seed)[2].sum() for seed in range(20)])
 
 
 @pytest.mark.parametrize("blend", [0.0, 0.3, 1.0])
-def test_a_spot_sends_out_what_its_falloff_leaves(blend):
-    """The smoothstep's mean is a half: of the soft edge's solid angle half the light is left."""
+def test_the_power_of_a_spot_is_that_within_its_falloff(blend):
+    """The mean of the smoothstep is 1/2, so the soft edge keeps half of its light."""
     angle, power = 1.5, 5.0
     light = SpotLight((0, 3, 4), (2, -1, 0.5), power, angle, blend)
     cap = 1 - np.cos(angle / 2)
     assert total_of(light) == pytest.approx(power * cap / 2 * (1 - blend / 2), rel=1e-3)
 
 
-def test_a_spot_shines_into_its_cone_alone():
+def test_a_spot_shines_only_into_its_cone():
     light = SpotLight((0, 3, 4), (2, -1, 0.5), 5.0, 0.8, 0.2)
     _, directions, power = emitted(light)
     axis = np.divide(light.direction, np.linalg.norm(light.direction))
@@ -440,9 +440,9 @@ def test_an_area_light_sends_out_its_power_to_one_side(ellipse, spread):
     assert inner == pytest.approx(0.25, abs=0.01)
 
 
-def test_slats_leave_light_by_their_angle():
-    """Through the square as the tangent of half the spread less that of the angle, by the cosine:
-    within the angle a goes (tan(h) sin^2(a) - a + sin(a) cos(a)) / (tan(h) - h)."""
+def test_slats_block_light_by_their_angle():
+    """The intensity is the cosine times (tan of half the spread, h, minus tan of the angle): the
+    share within the angle a is (tan(h) sin^2(a) - a + sin(a) cos(a)) / (tan(h) - h)."""
     half, angle = 0.6, 0.35
     light = AreaLight((0, 3, 4), (0, 1, 0), (0, 0, 1), 5.0, spread=2 * half)
     _, directions, power = emitted(light, 100_000)
@@ -454,7 +454,7 @@ def test_slats_leave_light_by_their_angle():
 
 @pytest.mark.parametrize("shining", [1, -1])
 def test_an_area_light_lights_a_face_by_its_view_factor(shining):
-    """Of two parallel squares with the edge a in the distance a: .1998 (Howell, C-11)."""
+    """Two parallel squares of edge a at the distance a: .1998 (Howell, C-11)."""
     medium = Medium(np.ones((2, 2, 2)), 0.5, 1, 0)
     light = AreaLight((0.5, 0.5, 2.0), (shining, 0, 0), (0, -1, 0), 3.0)
     reached = []
@@ -526,7 +526,7 @@ def test_voxels_emit_by_chance_where_photons_are_few():
 
 
 def test_photons_of_a_call_are_spread_evenly():
-    """Their estimates vary far less than those of independent photons (measured: 1/170 and 1/5)."""
+    """Estimates vary far less than with independent photons (measured: 1/170 and 1/5)."""
     count = 2000
     for light, less in ((OBLIQUE, 30), (Sky(2.0), 3)):
         total = emitted(light)[2].sum()
@@ -652,7 +652,7 @@ def test_rays_are_the_same_light_every_time(light):
 
 @pytest.mark.parametrize("light", FAR.values(), ids=FAR)
 def test_suns_are_the_same_light_every_time(light):
-    """Through the faces of the domain comes what its photons bring; of emission, what a sky brings
+    """The power through the faces of the domain is that of its photons; for emission, that of a sky
     whose light adds up to 1 W/m^2."""
     directions, strengths, _ = suns = light.suns(MEDIUM, 0, 12)
     assert strengths.min() >= 0
@@ -666,7 +666,7 @@ def test_suns_are_the_same_light_every_time(light):
 
 @pytest.mark.parametrize("per_edge", range(1, 12))
 def test_a_sun_sends_as_many_rays_into_each_column(per_edge):
-    """All at different places, evenly spaced along either edge."""
+    """All at different places, evenly spaced along both edges."""
     places = rank_1(per_edge**2)
     count = places.shape[1]
     assert per_edge**2 <= count <= per_edge**2 + 5

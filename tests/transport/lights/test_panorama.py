@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of the sky as lights: as much light, from the same directions, as the pictures have."""
+"""Pictures of the sky as lights: the same power from the same directions."""
 
 import pickle
 
@@ -57,7 +57,7 @@ def irradiance(lights, normal):
 @pytest.mark.parametrize("height", [32, 100, 512, 1100])
 @pytest.mark.parametrize("sun", [0.0, 1e5])
 def test_irradiance_is_that_of_the_picture(height, sun):
-    """But for .5 % (measured: .3 % where pixels are larger than cells, otherwise .07 %)."""
+    """Up to .5 % (measured: .3 % if pixels are larger than cells, otherwise .07 %)."""
     pixels = landscape(height, sun)
     lights = panorama_lights(pixels)
     directions, power = exact(pixels, 8 if height < 50 else 2)
@@ -120,7 +120,7 @@ def test_a_cell_sky_can_be_pickled():
 
 
 def test_its_light_in_a_void_is_that_of_the_picture():
-    """Fluence and net flux of the rays that the solver follows, with its own number of them."""
+    """Fluence and net flux of the solver's beams, in the number that it uses."""
     pixels = landscape(64, 1e4)
     medium = Medium(np.zeros((6, 6, 6)), 0.1, 1, 0)
     casts = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is gathered along many directions: against integrals, photons, and the NumPy twin."""
+"""Source iteration with discrete ordinates: against integrals, photons, and the NumPy twin."""
 
 import numpy as np
 import pytest
@@ -9,15 +9,10 @@ from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, solve
 from lb_lighting.transport.box import Box
 from lb_lighting.transport.device import devices
 from lb_lighting.transport.lights.sampling import rank_1
-from lb_lighting.transport.ordinates import source_iteration as gathering
+from lb_lighting.transport.ordinates import source_iteration
+from lb_lighting.transport.ordinates.moments import beside_beams, lobes_of, of_lobes, way_of
 from lb_lighting.transport.ordinates.quadrature import directions_for, harmonics, phase_function
-from lb_lighting.transport.ordinates.source_iteration import (
-    _apart,
-    gather,
-    is_worthwhile,
-    of_lobes,
-    seconds,
-)
+from lb_lighting.transport.ordinates.source_iteration import is_worthwhile, iterate, seconds
 from lb_lighting.transport.uncollided.sweep import Beam, NumpyGlow, Turn
 from tests.tracing import OPENCL, name
 
@@ -88,7 +83,7 @@ def fluence_of(scattered):
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("axis", range(3))
 @on_opencl
-def test_beams_gather_the_same_as_the_twin(axis, backward, device):
+def test_beams_gain_the_same_emission_as_the_twins(axis, backward, device):
     rng, shape = np.random.default_rng(axis), (7, 6, 8)
     turn = Turn(axis, shape, Box.all(shape))
     depth = rng.uniform(0, 3, turn.shape) * (rng.random(turn.shape) > 0.3)
@@ -114,7 +109,7 @@ def once_scattered(depth, albedo, count=40_000):
     # Back along a direction it is so far to the nearest face.
     with np.errstate(divide="ignore"):
         length = (half / np.abs(towards)).min(axis=1)
-    # There the sun has faded by exp(-(half + s z)), and to the middle light fades by exp(-s).
+    # The sun is attenuated by exp(-(half + s z)) there, and light to the middle by exp(-s).
     rate = 1 + towards[:, 2]
     gained = albedo * np.exp(-half) * -np.expm1(-rate * length) / rate
     radiance = gained * phase_function(-towards[:, 2], G)
@@ -124,13 +119,13 @@ def once_scattered(depth, albedo, count=40_000):
 @on_every_device
 @pytest.mark.parametrize("depth", [0.5, 4.0])
 def test_light_that_scattered_once_has_the_moments_of_its_integral(depth, device):
-    """What it is scattered to next, without the lobes taken off: these have its other moments."""
+    """Of in-scattered light, with the moments of the lobes, which are kept apart, added back."""
     n, albedo = 15, 0.9
     medium = Medium(np.ones((n,) * 3), 1 / n, depth * albedo, depth * (1 - albedo), G)
     lights = [Sun((0, 0, -1), 1.0)]
     field = solve(medium, lights, device=device)
     field.fluence[...] = field.flux[...] = field.forward[...] = 0
-    found = gather(medium, lights, field, device, times=1)
+    found = iterate(medium, lights, field, device, iterations=1)
     middle = (..., n // 2, n // 2, n // 2)
     lobe = found.lobes[0, 0][middle] * harmonics(np.array([0, 0, -1.0]))
     degrees = np.repeat(np.arange(3), (1, 3, 5))
@@ -140,13 +135,13 @@ def test_light_that_scattered_once_has_the_moments_of_its_integral(depth, device
 
 
 @on_opencl
-def test_gathered_light_is_nearer_to_that_of_photons_than_the_lattices(device):
+def test_iterated_light_is_closer_to_photons_than_the_lattices(device):
     """A cube of 8 optical depths, of which the lattice's light is some 5 % off, in L2; the noise
     of the photons' two halves drops out."""
     n = 16
     medium = Medium(np.ones((n,) * 3), 1 / n, 8 * 0.99, 8 * 0.01, G)
     lattice = solve(medium, [SUN], device=device)
-    found = gather(medium, [SUN], lattice, device)
+    found = iterate(medium, [SUN], lattice, device)
     photons = [
         solve(medium, [SUN], Settings(handover=np.inf, photons=2_000_000, seed=seed), device)
         for seed in (1, 2)
@@ -161,26 +156,26 @@ def test_gathered_light_is_nearer_to_that_of_photons_than_the_lattices(device):
 
 
 @on_opencl
-def test_bands_lamps_and_a_sky_are_gathered_as_one_by_one(device):
-    """Where bands are alike each is gathered alike; light adds up."""
+def test_bands_lamps_and_a_sky_together_are_as_one_by_one(device):
+    """Bands with the same optics have the same result; light adds up."""
     medium = Medium(np.ones((8, 9, 10)), 0.2, [5.0, 5.0], [0.1, 0.1], G)
     lamp = PointLight((-1.0, 0.5, 2.5), (3.0, 6.0))
     lights = [lamp, Sky(0.2), SUN]
-    found = gather(medium, lights, solve(medium, lights, device=device), device)
+    found = iterate(medium, lights, solve(medium, lights, device=device), device)
     assert found.moments.shape == (2, 9, 8, 9, 10)
     assert found.lobes.shape == (2, 2, 8, 9, 10)
     assert found.g == pytest.approx(G**3)
     assert np.isfinite(found.moments).all()
     alone = [lamp]
-    found = gather(medium, alone, solve(medium, alone, device=device), device)
+    found = iterate(medium, alone, solve(medium, alone, device=device), device)
     np.testing.assert_allclose(found.moments[1], 2 * found.moments[0], rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(found.lobes[:, 1], 2 * found.lobes[:, 0], rtol=1e-3, atol=1e-4)
 
 
 @on_opencl
 def test_empty_space_around_changes_nothing(device, monkeypatch):
-    """But where rays lie in voxels, which counts for less where there are many."""
-    monkeypatch.setattr(gathering, "rank_1", lambda _least: rank_1(16))
+    """Except for the places of rays in voxels, which matter less where there are many rays."""
+    monkeypatch.setattr(source_iteration, "rank_1", lambda _least: rank_1(16))
     shape, margin, lights = (8, 9, 10), (3, 2), [SUN, PointLight((3.0, -1.0, 2.0), 50.0)]
     near = Medium(np.ones(shape), 0.2, 3.0, 0.1, G)
     far = Medium(np.pad(near.density, margin), 0.2, 3.0, 0.1, G, origin=(-0.2 * margin[0],) * 3)
@@ -189,8 +184,8 @@ def test_empty_space_around_changes_nothing(device, monkeypatch):
     # Of the same light: what the lattice and rays are off by is another thing.
     for grid in ("fluence", "flux", "direct", "direct_flux", "by_light", "forward"):
         getattr(of_far, grid)[own] = getattr(of_near, grid)
-    expected = gather(near, lights, of_near, device, times=1)
-    found = gather(far, lights, of_far, device, times=1)
+    expected = iterate(near, lights, of_near, device, iterations=1)
+    found = iterate(far, lights, of_far, device, iterations=1)
     for values, wanted in (
         (found.moments[own], expected.moments),
         (found.lobes[own], expected.lobes),
@@ -199,48 +194,48 @@ def test_empty_space_around_changes_nothing(device, monkeypatch):
     assert not found.moments[:, :, 0].any()
 
 
-def test_nothing_is_scattered_to_less_than_nothing(monkeypatch):
-    """As a few moments of light from one side would have it; into the directions that are known."""
+def test_radiance_is_nowhere_negative(monkeypatch):
+    """In the directions of the quadrature; without the limiter, moments of one-sided light are."""
     medium = Medium(np.random.default_rng(0).random((6, 7, 8)) ** 3, 0.2, 20.0, 0.1, G)
     field = solve(medium, [SUN], device="NumPy")
     towards, _weights = directions_for([way(SUN)], G)
     lobe = phase_function(towards @ way(SUN), G**3)
 
     def least():
-        found = gather(medium, [SUN], field, "NumPy", times=1)
+        found = iterate(medium, [SUN], field, "NumPy", iterations=1)
         smooth = np.tensordot(harmonics(towards.T).T, found.moments[0], axes=1)
         light = smooth + np.multiply.outer(lobe, found.lobes[0, 0])
         return light.min() / light.max()
 
     assert least() > -1e-5
-    monkeypatch.setattr(gathering._Gatherer, "bound", lambda *_: 1)
+    monkeypatch.setattr(source_iteration._Ordinates, "limiter", lambda *_: 1)
     assert least() < -1e-3
 
 
 @on_opencl
-def test_light_of_many_voxels_is_gathered_in_merged_ones(device, monkeypatch):
+def test_media_of_many_voxels_are_iterated_in_merged_ones(device, monkeypatch):
     """Also where these do not divide the edges evenly; but not where they would be too thick."""
     shape = (20, 21, 23)
     axes = (np.sin(np.pi * (np.arange(n) + 0.5) / n) for n in shape)
     density = np.prod(np.meshgrid(*axes, indexing="ij"), axis=0)
     medium = Medium(density, 1 / 20, [10.0], [0.1], G)
     field = solve(medium, [SUN], device=device)
-    expected = gather(medium, [SUN], field, device)
-    monkeypatch.setattr(gathering, "_MOST", 12)
-    found = gather(medium, [SUN], field, device)
+    expected = iterate(medium, [SUN], field, device)
+    monkeypatch.setattr(source_iteration, "_MOST", 12)
+    found = iterate(medium, [SUN], field, device)
     assert found.moments.shape == expected.moments.shape
     assert found.lobes.shape == expected.lobes.shape
     wanted = density * fluence_of(expected)
     error = np.linalg.norm(density * fluence_of(found) - wanted) / np.linalg.norm(wanted)
     assert error < 0.05  # measured: .033
     thick = medium.altered(voxel_size=1.0)
-    assert gathering._pieces(medium) == 2
-    assert gathering._pieces(thick) == 1
+    assert source_iteration._pieces(medium) == 2
+    assert source_iteration._pieces(thick) == 1
     large = Medium(np.ones((321, 4, 4)), 1.0, 10.0, 0.1, G)
-    assert gathering._pieces(large) == 3
+    assert source_iteration._pieces(large) == 3
 
 
-def test_lobes_are_told_apart_by_their_third_moments():
+def test_lobes_follow_from_their_third_moments():
     rng = np.random.default_rng(0)
     ways = [v.reshape(3, 1, 1, 1) / np.linalg.norm(v) for v in np.eye(3) + 0.3]
     lobes = rng.random((3, 2, 3, 4))
@@ -249,9 +244,9 @@ def test_lobes_are_told_apart_by_their_third_moments():
         sum((5 * c**3 - 3 * c) / 2 * own for c, own in zip(row, lobes, strict=True))
         for row in cosines
     ]
-    np.testing.assert_allclose(_apart(np.array(thirds), ways), lobes, rtol=1e-5)
-    # Of beams that go the same way there is only one to be told.
-    same = _apart(np.array([lobes[0]] * 2), ways[:1] * 2)
+    np.testing.assert_allclose(lobes_of(np.array(thirds), ways), lobes, rtol=1e-5)
+    # Beams of the same direction share a lobe.
+    same = lobes_of(np.array([lobes[0]] * 2), ways[:1] * 2)
     np.testing.assert_allclose(same.sum(axis=0), lobes[0], rtol=1e-5)
 
 
@@ -259,7 +254,7 @@ def test_lobes_are_told_apart_by_their_third_moments():
 def test_light_may_be_as_dim_or_bright_as_one_likes(power):
     medium = Medium(np.ones((5,) * 3), 0.2, 5.0, 0.1, [G, 0.0])
     usual, other = (
-        gather(medium, lights, solve(medium, lights, device="NumPy"), "NumPy", times=1)
+        iterate(medium, lights, solve(medium, lights, device="NumPy"), "NumPy", iterations=1)
         for lights in ([Sun((0, 0, -1), 1.0)], [Sun((0, 0, -1), power)])
     )
     np.testing.assert_allclose(other.moments / np.float32(power), usual.moments, atol=1e-4)
@@ -268,15 +263,15 @@ def test_light_may_be_as_dim_or_bright_as_one_likes(power):
     assert not usual.moments[1, 1:].any()  # what scatters evenly goes everywhere
 
 
-def test_tells_how_far_it_is_and_ends_when_asked():
-    medium, told = Medium(np.ones((5,) * 3), 0.2, 5.0, 0.1, [G, 0.7]), []
+def test_progress_is_reported_and_iterations_can_be_cancelled():
+    medium, fractions = Medium(np.ones((5,) * 3), 0.2, 5.0, 0.1, [G, 0.7]), []
     lights = [SUN]
     field = solve(medium, lights, device="NumPy")
-    gather(medium, lights, field, "NumPy", times=2, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
+    iterate(medium, lights, field, "NumPy", iterations=2, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1)
     with pytest.raises(Cancelled):
-        gather(medium, lights, field, "NumPy", cancel=lambda: True)
+        iterate(medium, lights, field, "NumPy", cancel=lambda: True)
     assert 0 < seconds(medium, lights, "NumPy") < 60
 
 
@@ -291,19 +286,21 @@ def test_tells_how_far_it_is_and_ends_when_asked():
         (0.85, 1.0, [SUN], True, False),
     ],
 )
-def test_is_done_only_where_it_is_worth_it(g, depth, lights, occluded, expected):
+def test_is_worthwhile_only_for_beams_in_thin_forward_scattering_voxels(
+    g, depth, lights, occluded, expected
+):
     occlusion = np.ones((4,) * 3) if occluded else None
     medium = Medium(np.ones((4,) * 3), 1.0, depth, 0.0, g, occlusion=occlusion)
     assert is_worthwhile(medium, lights) is expected
 
 
-def test_unscattered_light_of_other_lights_is_all_but_that_of_beams():
+def test_uncollided_light_of_other_lights_is_all_but_that_of_beams():
     medium = Medium(np.ones((5,) * 3), 0.2, 1.0, 0.1, G)
     lights = [Sky(1.0), SUN]
     field = solve(medium, lights, device="NumPy")
     box = Box.all(medium.shape)
-    along = [gathering.way_of(SUN)]
-    fluence, flux = gathering.beside_beams(field, 0, [1], along, box)
+    along = [way_of(SUN, medium.domain)]
+    fluence, flux = beside_beams(field, 0, [1], along, box)
     np.testing.assert_allclose(fluence, field.by_light[0, 0], rtol=1e-4)
     sun = solve(medium, [SUN], device="NumPy")
     np.testing.assert_allclose(flux, (field.direct_flux - sun.direct_flux)[0], atol=1e-4)

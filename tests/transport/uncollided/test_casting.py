@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unscattered light against Beer and Lambert's law, the inverse square, a furnace, and photons."""
+"""Uncollided light against the Beer-Lambert law, the inverse square, a furnace, and photons."""
 
 from functools import cache
 
@@ -22,7 +22,7 @@ on_opencl = pytest.mark.parametrize("device", OPENCL, ids=name)
 
 
 def patchy(occluded=True, sigma_s=1.5, sigma_a=0.5):
-    """A third of the voxels void, the others 2 free paths thick at most; some opaque ones."""
+    """A third of the voxels are void, the others at most 2 free paths thick; some are opaque."""
     rng = np.random.default_rng(4)
     density = rng.uniform(0.05, 5, SHAPE) * (rng.random(SHAPE) > 1 / 3)
     emission, options = rng.random(SHAPE), {}
@@ -54,7 +54,7 @@ def light_of(kind, device, occluded=True):
 
 
 def parts(result):
-    """All arrays of a cast, by what they are."""
+    """All arrays of a cast by name."""
     arrays = {what: getattr(result, what) for what in ("direct", "flux", "left", "reflected")}
     arrays |= {what: getattr(result.collided, what) for what in ("power", "position", "direction")}
     return {what: array for what, array in arrays.items() if array is not None}
@@ -71,7 +71,7 @@ def centers(medium):
 
 
 def samples(medium, per_edge):
-    """(nx, ny, nz, per_edge^3, 3) m, points spread evenly over each voxel."""
+    """(nx, ny, nz, per_edge^3, 3) m, points distributed evenly over each voxel."""
     offsets = ((np.arange(per_edge) + 0.5) / per_edge - 0.5) * medium.voxel_size
     grid = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1)
     return medium.domain.centers()[..., None, :] + grid.reshape(-1, 3)
@@ -80,7 +80,7 @@ def samples(medium, per_edge):
 @on_every_device
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("forward", [True, False])
-def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
+def test_slabs_attenuate_by_the_beer_lambert_law(axis, forward, device):
     depth = np.array([0.3, 0, 1e-5, 2.0, 0.7, 8.0, 0.01])  # of the voxels, in the sun's way
     sigma, irradiance = 2.5, 3.0
     density = (depth if forward else depth[::-1]) / (sigma * H)
@@ -91,7 +91,7 @@ def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
     result = cast(medium, Sun(direction, irradiance), 0, sigma, device)
 
     def along(values):
-        """(7,) of the middle row, in the sun's way; all rows are alike."""
+        """(7,) of the middle row, in the direction of the sun; all rows are alike."""
         rows = np.moveaxis(values, axis, -1).reshape(9, -1)
         assert np.allclose(rows, rows[4], rtol=2e-6, atol=1e-9 * abs(rows).max())
         return rows[4] if forward else rows[4][::-1]
@@ -121,7 +121,7 @@ def test_slabs_fade_as_beer_and_lambert_say(axis, forward, device):
 
 @on_every_device
 @pytest.mark.parametrize("direction", [(0.3, 0.2, -0.93), (1, 1, 1), (-1, 2, 0), (1, 0.3, -0.15)])
-def test_an_oblique_sun_fades_by_its_way_through_the_box(direction, device):
+def test_an_oblique_sun_is_attenuated_by_its_path_through_the_box(direction, device):
     medium, sigma = Medium(np.ones((6, 5, 4)), H, 1, 0), 3.0
     result = cast(medium, Sun(direction, 1.0), 0, sigma, device)
     toward = np.divide(direction, np.linalg.norm(direction))
@@ -202,8 +202,8 @@ def angle_filled(points, a, b):
     [(0.5, 3.0, 0.02), (3, 3.0, 0.02), (3, 2.3, 0.03), (1, 1.3, 0.12)],
 )
 def test_an_area_light_is_as_bright_as_the_angle_that_it_fills(size, height, allowed, device):
-    """Its radiance is 1, and it shines downwards. The last one is inside, where the voxels that it
-    lies in have most of the error (L2)."""
+    """Its radiance is 1, and it shines downwards. The last one is inside; most of the error (L2) is
+    in the voxels in which it lies."""
     medium = Medium(np.ones((16, 16, 16)), 0.125, 1, 0)
     center = (1.1, 0.9, height)
     light = AreaLight(center, (size, 0, 0), (0, -size / 2, 0), np.pi * size**2 / 2)
@@ -238,7 +238,7 @@ def test_a_void_under_a_uniform_sky_is_as_bright_as_the_sky(device):
 
 @on_every_device
 def test_a_medium_that_glows_like_the_sky_is_a_furnace(device):
-    """What voxels keep from the sky they add by their own light, whatever the density."""
+    """Voxels emit as much as they absorb of the sky, at any density."""
     density, sigma, radiance = patchy().density, 6.0, 0.25
     glow = 4 * np.pi * radiance * sigma * density
     medium = Medium(density, H, sigma, 0, emission=glow)
@@ -247,7 +247,7 @@ def test_a_medium_that_glows_like_the_sky_is_a_furnace(device):
     assert np.abs(direct / (4 * np.pi * radiance) - 1).max() < 1e-2
     collided = sum(result.collided.power for result in both)
     assert collided == pytest.approx(glow * H**3, rel=1e-2)
-    # Light that is the same everywhere collides in the middle, and in all directions.
+    # Uniform light collides in the middle on average, and in all directions.
     for moment, scale in (("position", H), ("direction", 1)):
         moments = sum(getattr(result.collided, moment) for result in both)
         assert np.abs(moments).max() < 1e-2 * scale * collided.max()
@@ -271,7 +271,7 @@ def test_photons_collide_first_where_rays_do(lit, device):
         found = np.array([getattr(field.handed, kind)[0] for field in fields])
         expected = medium.albedo[0] * getattr(result.collided, kind)
         bright = power > least
-        # In shares of the largest that a moment of that power could be, shifted away from 0.
+        # Relative to the largest possible moment of that power, shifted away from 0.
         size = scale * power[bright]
         shift = 2.0
         assert_mean(
@@ -352,7 +352,7 @@ def test_extremes_are_finite_and_conserve_energy(kind, depths, irradiance, devic
     assert result.direct.min() >= 0
     assert result.collided.power.min() >= 0
     assert accounted(result) == pytest.approx(result.entered, rel=1e-5)
-    # Also where next to nothing collides, or is left unscattered, the digits are there.
+    # Digits are kept where next to nothing collides, and where next to nothing is uncollided.
     expected = medium.density.astype(float) * result.direct
     tiny = 1e-37
     assert result.collided.power == pytest.approx(expected, rel=1e-5, abs=tiny)
@@ -405,7 +405,7 @@ def test_swept_light_is_that_of_rays_followed_one_by_one(direction, occluded):
     followed = parts(cast(medium, Followed(sun), 0, 2.0, "NumPy", 24))
     assert swept.keys() == followed.keys()
     for what in followed.keys() - {"left"}:
-        # Few rays come to what few voxels reflect, and places depend on where each is.
+        # Few rays reach the few voxels that reflect, and places depend on each ray.
         allowed = 8e-3 if what in ("reflected", "position") else 2e-3
         difference = np.linalg.norm(swept[what] - followed[what])
         assert difference <= allowed * np.linalg.norm(followed[what]), what
