@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting.scene.meshes import read_mesh, vertices
+from lb_lighting.scene.read_meshes import read_mesh, vertices
 from tests import scenery
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene import smoke
+from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 from tests.scene.trees import add_node, attribute, combine, connect, make_material, surface
@@ -154,7 +155,7 @@ class TestGrids:
             "Density Attribute"
         ].default_value = ""
         source, (note,) = read(ob)
-        assert note.startswith("The material of 'fog' reads no grid, so Cycles renders nothing")
+        assert note.startswith("The material of 'fog' reads no grid, so Cycles does not")
         assert set(np.unique(source.shares(DOMAIN)[0].density)) == {0, 1}
         assert read(ob, grid="density")[1] == []
 

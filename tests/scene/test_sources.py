@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import SceneError
+from lb_lighting.scene.medium_choice import FROM_MATERIAL, MediumChoice
 from lb_lighting.scene.mixture import Share, mixture, occluders, with_shadows
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.scene.sources import VolumeSource
 from lb_lighting.scene.surface_sources import SolidSource
 from lb_lighting.transport.lights.distant import Sky, Sun
@@ -337,7 +338,7 @@ class TestOccluders:
         ob.active_material.node_tree.links.new(noise, color)
         (_stopped, albedo), (note,), _found = self.read(ob)
         assert albedo == 0
-        assert note.startswith("'ball' throws no light back. 'leaf' takes a value from the node")
+        assert note.startswith("'ball' reflects no light. 'leaf' takes a value from the node")
 
     def test_a_coarse_wall_stops_light_but_shows_none(self):
         wall = bpy.data.meshes.new("wall")
@@ -347,7 +348,7 @@ class TestOccluders:
         (stopped, _albedo), (note,), (source,) = self.read(wall)
         assert np.all(stopped[3:17, 3:17].max(axis=2) > 0.95)
         assert not source.shows_light
-        assert note.startswith("'wall' shows none of the light, for its faces are larger than 4")
+        assert note.startswith("'wall' shows none of the light, because its faces are larger")
 
 
 class TestShadows:
@@ -438,12 +439,12 @@ class TestMixture:
         ],
     )
     def test_what_is_a_mean_is_told(self, second, told):
-        reader = Reader(None, FROM_MATERIAL, 30, "")
+        choice = MediumChoice(FROM_MATERIAL, 30, "")
         shares = [Share(self.ONE, Optics(2.0, 2.0, 0.5)), Share(self.ONE, second)]
-        density, optics = reader.mixture(shares)
+        density, optics = choice.mixture(shares)
         assert np.array_equal(density, mixture(shares)[0])
         assert optics == mixture(shares)[1]
-        assert [note.startswith(self.DIFFER) for note in reader.notes] == [True] * told
+        assert [note.startswith(self.DIFFER) for note in choice.notes] == [True] * told
 
     @pytest.mark.parametrize(
         "shares",

@@ -8,7 +8,7 @@ import pytest
 from mathutils import Euler, Matrix
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene import volumes
+from lb_lighting.scene import read_volumes, volumes
 from lb_lighting.transport.medium import Domain
 
 MATRIX = Matrix.LocRotScale((3, -1, 2), Euler((0.4, 0.9, -0.3)), (2, 0.5, 1.3))
@@ -75,10 +75,10 @@ class TestSources:
         path = tmp_path / "blob.vdb"
         openvdb.write(str(path), [make_grid(values), make_grid(np.ones((4, 4, 4, 3)), "color")])
         ob = add_volume(path)
-        assert sorted(volumes.grid_names(ob, depsgraph())) == ["color", "density"]
-        assert volumes.find_grid(ob, depsgraph(), "color").vdb.background == (0, 0, 0)
+        assert sorted(read_volumes.grid_names(ob, depsgraph())) == ["color", "density"]
+        assert read_volumes.find_grid(ob, depsgraph(), "color").vdb.background == (0, 0, 0)
         found = np.empty_like(values, np.float32)
-        volumes.find_grid(ob, depsgraph()).vdb.copyToArray(found)
+        read_volumes.find_grid(ob, depsgraph()).vdb.copyToArray(found)
         assert found == pytest.approx(values)
 
     def test_sequence_at_the_current_frame(self, tmp_path):
@@ -89,7 +89,7 @@ class TestSources:
         ob.data.is_sequence, ob.data.frame_duration = True, 3
         for frame in (2, 3):
             bpy.context.scene.frame_set(frame)
-            assert volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == frame
+            assert read_volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == frame
 
     @pytest.mark.parametrize("kind", ["volume", "mesh"])
     def test_made_by_geometry_nodes(self, kind):
@@ -99,8 +99,8 @@ class TestSources:
             bpy.context.collection.objects.link(ob)
         make_fog_cube(ob)
         ob.matrix_world = Matrix.Translation((5, 0, 0))
-        assert volumes.grid_names(ob, depsgraph()) == ["density"]
-        grid = volumes.find_grid(ob, depsgraph()).vdb
+        assert read_volumes.grid_names(ob, depsgraph()) == ["density"]
+        grid = read_volumes.find_grid(ob, depsgraph()).vdb
         domain = Domain((3.5, -1.5, -1.5), 0.1, (30, 30, 30))
         values = volumes.resample(grid, ob.matrix_world, domain)
         assert values.max() == pytest.approx(3)
@@ -110,24 +110,24 @@ class TestSources:
         openvdb.write(str(tmp_path / "file.vdb"), [make_grid(np.ones((4, 4, 4)))])
         ob = add_volume(tmp_path / "file.vdb")
         make_fog_cube(ob)
-        assert volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == 3
+        assert read_volumes.find_grid(ob, depsgraph()).vdb.evalMinMax()[1] == 3
 
     def test_missing_file_is_named(self, tmp_path):
         ob = add_volume(tmp_path / "gone.vdb")
         with pytest.raises(SceneError, match=r"gone\.vdb"):
-            volumes.find_grid(ob, depsgraph())
+            read_volumes.find_grid(ob, depsgraph())
 
     def test_unknown_grid_lists_those_that_exist(self, tmp_path):
         path = tmp_path / "blob.vdb"
         openvdb.write(str(path), [make_grid(np.ones((4, 4, 4)), n) for n in ("density", "heat")])
         with pytest.raises(SceneError, match=r"no grid 'smoke'.*density.*heat"):
-            volumes.find_grid(add_volume(path), depsgraph(), "smoke")
+            read_volumes.find_grid(add_volume(path), depsgraph(), "smoke")
 
     def test_grids_without_a_name_are_not_offered(self, tmp_path):
         path = tmp_path / "blob.vdb"
         openvdb.write(str(path), [make_grid(np.ones((4, 4, 4)), "")])
         with pytest.raises(SceneError, match=r"no grid 'density'; .* have no names; name the grid"):
-            volumes.find_grid(add_volume(path), depsgraph())
+            read_volumes.find_grid(add_volume(path), depsgraph())
 
     def test_frame_outside_of_a_sequence_is_told_as_such(self, tmp_path):
         openvdb.write(str(tmp_path / "blob_0001.vdb"), [make_grid(np.ones((4, 4, 4)))])
@@ -135,18 +135,18 @@ class TestSources:
         ob.data.is_sequence, ob.data.frame_start, ob.data.frame_duration = True, 5, 1
         bpy.context.scene.frame_set(2)
         with pytest.raises(SceneError, match="shows no file of its sequence at this frame"):
-            volumes.grid_names(ob, depsgraph())
+            read_volumes.grid_names(ob, depsgraph())
 
     def test_volume_without_a_file(self):
         with pytest.raises(SceneError, match="no grids"):
-            volumes.grid_names(add_volume(""), depsgraph())
+            read_volumes.grid_names(add_volume(""), depsgraph())
 
     def test_objects_without_a_volume(self):
         for data in (bpy.data.meshes.new("mesh"), None):
             ob = bpy.data.objects.new("plain", data)
             bpy.context.collection.objects.link(ob)
             with pytest.raises(SceneError, match=r"'plain.*' has no volume"):
-                volumes.grid_names(ob, depsgraph())
+                read_volumes.grid_names(ob, depsgraph())
 
 
 class TestResample:

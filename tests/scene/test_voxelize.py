@@ -12,7 +12,7 @@ import pytest
 from mathutils import Euler, Matrix
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene import meshes, voxelize
+from lb_lighting.scene import enclosure, meshes, read_meshes, voxelize
 from lb_lighting.transport.medium import Domain
 
 ROTATED_SCALED = Matrix.LocRotScale((3, -1, 2), Euler((0.4, 0.9, -0.3)), (2, 0.5, 1.3))
@@ -48,7 +48,7 @@ def add_sphere(subdivisions=4):
 
 
 def parts_of(*objects):
-    return meshes.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
+    return read_meshes.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
 
 
 def triangles_of(*objects):
@@ -260,17 +260,17 @@ class TestWorldParts:
         geometry_nodes(ob, leaves)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         start = time.perf_counter()
-        (part,) = meshes.world_parts(depsgraph, [ob])
+        (part,) = read_meshes.world_parts(depsgraph, [ob])
         assert len(part.faces.triangles) == 200_000
         assert time.perf_counter() - start < 10
 
     def test_object_without_faces(self):
         assert parts_of(add_object(add_mesh([(0, 0, 0), (1, 0, 0)], []))) == []
         with pytest.raises(SceneError, match="no faces"):
-            voxelize.world_bounds([])
+            meshes.world_bounds([])
 
     def test_bounds(self):
-        lower, upper = voxelize.world_bounds(
+        lower, upper = meshes.world_bounds(
             [part.faces for part in parts_of(add_cube(matrix=Matrix.Scale(4, 4)))]
         )
         assert (*lower, *upper) == pytest.approx((-2, -2, -2, 2, 2, 2))
@@ -533,7 +533,7 @@ class TestSolidFraction:
             ob.matrix_world = ROTATED_SCALED
             triangles = triangles_of(ob)
             domain = domain_of(triangles)
-            fraction = voxelize.solid_fraction(triangles, domain)
+            fraction = enclosure.solid_fraction(triangles, domain)
             volume = fraction.sum() * domain.voxel_size**3
             assert volume == pytest.approx(volume_of(triangles), rel=1e-2)
             assert (fraction.min(), fraction.max()) == (0, 1)
@@ -545,14 +545,14 @@ class TestSolidFraction:
         domain = Domain((0, 0, 0), 1.0, (9, 9, 9))
         triangles = triangles_of(add_cube(matrix=Matrix.Translation((4.5,) * 3)))
         corners = (triangles - 4.5) * 5.4 + 4.5  # from 1.8 to 7.2
-        fraction = voxelize.solid_fraction(corners, domain)
+        fraction = enclosure.solid_fraction(corners, domain)
         profile = fraction[:, 4, 4]
         assert profile == pytest.approx([0, 0.2, 1, 1, 1, 1, 1, 0.2, 0], abs=1e-3)
 
     @pytest.mark.parametrize("removed", [1, 20])
     def test_small_holes_are_closed(self, removed):
         triangles = triangles_of(add_sphere())
-        fraction = voxelize.solid_fraction(triangles[removed:], domain := domain_of(triangles, 64))
+        fraction = enclosure.solid_fraction(triangles[removed:], domain := domain_of(triangles, 64))
         assert fraction.sum() * domain.voxel_size**3 == pytest.approx(4 / 3 * pi, rel=0.1)
 
     def test_overlapping_shells_count_once(self):
@@ -560,7 +560,7 @@ class TestSolidFraction:
         both = np.concatenate([ball, ball + np.array([0.5, 0, 0])])
         domain = domain_of(both, 48)
         lens = pi * (4 + 0.5) * (2 - 0.5) ** 2 / 12
-        volume = voxelize.solid_fraction(both, domain).sum() * domain.voxel_size**3
+        volume = enclosure.solid_fraction(both, domain).sum() * domain.voxel_size**3
         assert volume == pytest.approx(2 * 4 / 3 * pi - lens, rel=0.02)
 
     def test_open_shells_that_meet(self):
@@ -569,22 +569,22 @@ class TestSolidFraction:
         bowl = ball[ball[..., 2].max(axis=1) < 0.98]
         small = ball * 0.2 + np.array([1.3, 0, 0])
         domain = domain_of(np.concatenate([bowl, small]), 24)
-        volume = voxelize.solid_fraction(np.concatenate([bowl, small]), domain).sum()
+        volume = enclosure.solid_fraction(np.concatenate([bowl, small]), domain).sum()
         assert volume * domain.voxel_size**3 == pytest.approx(4.1, rel=0.15)
 
     def test_open_mesh_is_refused(self):
         cube = triangles_of(add_cube())
         corner = cube[(cube.max(axis=1) == cube.min(axis=1)).any(axis=1)][:4]
         with pytest.raises(SceneError, match=r"^The mesh is not closed, or .* foliage instead\.$"):
-            voxelize.solid_fraction(corner, domain_of(cube))
+            enclosure.solid_fraction(corner, domain_of(cube))
 
     @pytest.mark.parametrize("turn", [(0, 0, 0), (0.4, 0.9, -0.3)])
     def test_flat_mesh_is_refused(self, turn):
         matrix = Euler(turn).to_matrix().to_4x4() @ Matrix.Diagonal((1, 1, 0, 1))
         triangles = triangles_of(add_cube(matrix=matrix))
         with pytest.raises(SceneError, match=r"^The mesh is flat; give it a thickness"):
-            voxelize.solid_fraction(triangles, domain_of(triangles))
+            enclosure.solid_fraction(triangles, domain_of(triangles))
 
     def test_outside_of_the_domain(self):
         domain = Domain((10, 10, 10), 0.5, (4, 4, 4))
-        assert not voxelize.solid_fraction(triangles_of(add_cube()), domain).any()
+        assert not enclosure.solid_fraction(triangles_of(add_cube()), domain).any()

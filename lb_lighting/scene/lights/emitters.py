@@ -7,10 +7,10 @@ import bpy
 import numpy as np
 
 from ...ours import is_ours
-from ..meshes import read_mesh
+from ..meshes import Faces
+from ..read_meshes import read_mesh
 from ..remarks import listed
 from ..rendered import rendered_objects, world_matrix
-from ..voxelize import Faces
 from .light_nodes import LightShader, or_else
 from .mesh_lights import Emitter, lamps_of
 

@@ -16,8 +16,9 @@ from lb_lighting.scene import volumes
 from lb_lighting.scene.emission import Glow, shining
 from lb_lighting.scene.grids.resample import Cells, translation
 from lb_lighting.scene.grids.sparse import Matter, SparseCells
+from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 from tests.scenery import bake_light, read_grid
@@ -214,7 +215,7 @@ class TestValues:
         source, notes = read(add_volume(tmp_path, grid))
         (share,) = source.shares(self.DOMAIN)
         assert share.density == pytest.approx(zero, abs=1e-6)
-        told = f"The grid 'density' of 'fog' has 2 voxels that are {what}; that counts as 0."
+        told = f"The grid 'density' of 'fog' has 2 voxels that are {what}; this counts as 0."
         assert notes == [told]
 
     def test_a_level_set_is_fog_inside(self, tmp_path):
@@ -228,7 +229,7 @@ class TestValues:
         radius = np.linalg.norm(centers, axis=-1)
         assert share.density[radius < 0.75].min() == pytest.approx(1)
         assert share.density[radius > 1.12].max() == 0
-        told = "The grid 'density' of 'fog' is a level set; what it encloses is lit as fog of"
+        told = "The grid 'density' of 'fog' is a level set; its inside is lit as fog of"
         assert [note.startswith(told) for note in notes] == [True]
 
     def test_what_a_grid_has_where_it_is_empty_counts_as_0(self, tmp_path):
@@ -238,7 +239,7 @@ class TestValues:
         source, notes = read(add_volume(tmp_path, grid))
         (share,) = source.shares(self.DOMAIN)
         assert set(np.unique(np.round(share.density, 5))) == {0, 2}
-        told = "The grid 'density' of 'fog' has the value 0.25 where it is empty; that counts as 0."
+        told = "The grid 'density' of 'fog' has the value 0.25 where it is empty; this counts as 0."
         assert notes == [told]
 
     def test_no_density_at_all_is_left_out(self, scene, tmp_path):
