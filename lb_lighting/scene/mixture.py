@@ -161,7 +161,7 @@ def _per_extinction(shares: Sequence[Share]) -> Floats:
 
 
 def scaled(optics: Optics, largest: float) -> Optics:
-    """`optics`, scaled so that the largest extinction coefficient of its bands is `largest`, 1/m."""
+    """`optics`, scaled to the `max_extinction` `largest`, 1/m."""
     sigma_s, sigma_a = np.atleast_1d(optics.sigma_s), np.atleast_1d(optics.sigma_a)
     factor = largest / (sigma_s + sigma_a).max()
     return Optics(tuple(sigma_s * factor), tuple(sigma_a * factor), optics.g)

@@ -119,10 +119,9 @@ def _grid_name(
     if optics and optics.density_attribute:
         return optics.density_attribute
     glowing = [name for glow in glows for name in glow.grids]
+    candidates = ["density", *glowing]
     if optics and optics.is_clear:
         candidates = glowing or ["density"]
-    else:
-        candidates = ["density", *glowing]
     return next((name for name in candidates if name in names), candidates[0])
 
 

@@ -40,7 +40,7 @@ class Readable(ABC):
 
     @abstractmethod
     def blocks(self, lower: Voxel, upper: Voxel) -> Iterator[tuple[Integers, Array]]:
-        """Yields (first voxel (3,), values) of all blocks from `lower` to `upper` that are not 0."""
+        """Yields (first voxel (3,), values) of the blocks from `lower` to `upper`, except for 0."""
 
     @abstractmethod
     def read(self, lower: Voxel, upper: Voxel) -> Floats:
