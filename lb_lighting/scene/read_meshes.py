@@ -75,7 +75,8 @@ def vertices(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Mesh
     If modifiers change the number of vertices, it is the original mesh.
     """
     evaluated = ob.evaluated_get(depsgraph)
-    original, data = _mesh_of(ob), _mesh_of(evaluated)
+    original: Any = ob.data
+    data: Any = evaluated.data
     mesh = read_mesh(data if len(data.vertices) == len(original.vertices) else original)
     is_nowhere = ~np.all(np.abs(mesh.points) < FARTHEST, axis=1)  # no face has them, see Mesh.fault
     mesh.points[is_nowhere] = 0
@@ -97,11 +98,6 @@ def read_mesh(mesh: bpy.types.Mesh, slots: int = 1) -> Mesh:
         # Blender draws faces whose slot does not exist with the nearest slot.
         None if material is None else np.clip(material, 0, slots - 1),
     )
-
-
-def _mesh_of(ob: bpy.types.Object) -> bpy.types.Mesh:
-    mesh: Any = ob.data  # the object is a mesh object
-    return mesh  # type: ignore[no-any-return]  # a class of bpy cannot be asked for without bpy
 
 
 def _materials(ob: Any) -> tuple[bpy.types.Material | None, ...]:

@@ -102,8 +102,8 @@ class Reader:
                 raise
             if shines:
                 self.notes.append(
-                    f"'{ob.name}' shines by itself, which does not light it, and Replace leaves "
-                    f"that out. {error}"
+                    f"'{ob.name}' shines by itself, but its light is not baked, and Replace "
+                    f"hides it. {error}"
                 )
             return []
 

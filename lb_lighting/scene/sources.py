@@ -248,4 +248,4 @@ class SmokeSource(GridSource):
 
 def longest(domain: Domain) -> float:
     """m, the longest edge of the domain."""
-    return domain.voxel_size * max(domain.shape)
+    return float(domain.voxel_size * max(domain.shape))

@@ -172,7 +172,7 @@ class TestGrids:
         both = combine(tree, tree.nodes["Emission"], add_node(tree, "ShaderNodeVolumeScatter"))
         connect(material, both, "Volume")
         notes = read(ob)[1]
-        assert any(note.startswith("'fog' shines by itself, which does not") for note in notes)
+        assert any(note.startswith("'fog' shines by itself, but its") for note in notes)
 
     def test_what_only_shines_by_a_grid_that_is_missing_is_refused(self, tmp_path):
         ob = scenery.add_fog(tmp_path, material=False)
