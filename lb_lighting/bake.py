@@ -267,7 +267,7 @@ def gather(context, objects, options, path=None, decided=None, frame=None):
     return Light(
         options=options,
         sources=sources,
-        reader=reader,
+        reader=reader.choice,
         lights=lights,
         box=box,
         surfaces=surfaces,

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-# Attributes that a result does not depend on, and `reader`, whose choices are those of the options.
-_ASIDE = {"name", "instanced", "reader", "uid"}
+# Attributes that a result does not depend on, and `choice`, which the options contain.
+_ASIDE = {"name", "instanced", "choice", "uid"}
 _AT_ONCE = 1 << 22  # voxels of a grid that are read at once
 
 

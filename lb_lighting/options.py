@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from .errors import SettingsError, require_known
-from .scene.reader import CUSTOM, FROM_MATERIAL
+from .scene.medium_choice import CUSTOM, FROM_MATERIAL
 from .transport.medium import PRESETS, optics_by_band
 from .transport.planning.planner import TARGETS
 from .transport.solver import MODELS, Settings

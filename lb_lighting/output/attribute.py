@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ..errors import OutputError
-from ..scene.meshes import vertices
+from ..scene.read_meshes import vertices
 from .ambient import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,

@@ -1,20 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene at one of its frames, with what a bake hid evaluated as if it were shown."""
+"""The scene at a frame, with the objects that a bake hid evaluated as if they were shown."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import bpy
 
 
 @contextmanager
-def at_frame(context, objects, frame=None, unread=()):
-    """Inside, the scene is at `frame`, or at the current one where that is None, and `objects` are
-    shown. Yields the frame.
+def at_frame(
+    context: bpy.types.Context,
+    objects: Iterable[bpy.types.Object],
+    frame: int | None = None,
+    unread: Sequence[Any] = (),
+) -> Iterator[int]:
+    """Inside, the scene is at `frame`, or at the current frame for None, and shows `objects`.
+    Yields the frame.
 
-    unread  Volume objects whose files are not to be read there
+    unread  Volume objects whose files must not be read
 
-    Blender evaluates objects only while they are shown, and their keys only where a frame is set
-    then. None is set without need, for that takes back what the user changed and did not key.
+    Blender evaluates objects only while they are shown, and their keys only when a frame is set.
+    The frame is set only if necessary, because that resets changes that the user has not keyed.
     """
-    scene = context.scene
+    scene: Any = context.scene
+    view_layer: Any = context.view_layer
     current = scene.frame_current, scene.frame_subframe
     number, subframe = current if frame is None else (frame, 0.0)
     hidden = [ob for ob in objects if ob.hide_viewport]
@@ -27,7 +40,7 @@ def at_frame(context, objects, frame=None, unread=()):
         if frame is not None or any(map(is_animated, hidden)):
             scene.frame_set(number, subframe=subframe)
         elif hidden:
-            context.view_layer.update()
+            view_layer.update()
         yield number
     finally:
         for ob in hidden:
@@ -37,16 +50,16 @@ def at_frame(context, objects, frame=None, unread=()):
         if frame is not None:
             scene.frame_set(current[0], subframe=current[1])
         elif hidden:
-            context.view_layer.update()
+            view_layer.update()
 
 
-def is_animated(ob):
-    """Whether keys or drivers may change an object from frame to frame, or what moves it."""
+def is_animated(ob: bpy.types.Object) -> bool:
+    """Whether keys or drivers may change an object, or anything that moves it."""
     return any(block.animation_data for block in _blocks(ob, set()))
 
 
-def _blocks(ob, seen):
-    """The data-blocks that say where an object is, and what."""
+def _blocks(ob: Any, seen: set[Any]) -> Iterator[Any]:
+    """Yields the data-blocks that an object and its place depend on."""
     seen.add(ob)
     yield ob
     trees = [getattr(modifier, "node_group", None) for modifier in ob.modifiers]

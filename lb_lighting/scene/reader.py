@@ -1,75 +1,97 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How sources are read: by their materials or by a preset, and what is told of that."""
+"""Reads what is common to all sources: materials and emission, or a preset in their place."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import Floats, Vector
 from ..errors import SceneError
-from ..transport.medium import PRESETS, Optics
-from .emission import volume_glows
-from .materials import leaf_optics, volume_optics, volume_shines
-from .mixture import is_exact, mixture, scaled
+from ..transport.medium import Optics
+from .emission import BlackBody, Glow, volume_glows
+from .materials import Leaf, VolumeOptics, leaf_optics, volume_optics, volume_shines
+from .medium_choice import FROM_MATERIAL, MediumChoice
 from .nodes.attributes import object_attributes
+from .read_meshes import Part
 
-FROM_MATERIAL = "MATERIAL"
-CUSTOM = "CUSTOM"
+if TYPE_CHECKING:
+    import bpy
 
 
-@dataclass
 class Reader:
-    """How sources are read: the choices of the user, and what to tell about them.
+    """Reads sources at the current frame, by their materials or by the medium that the user chose.
 
-    medium         FROM_MATERIAL, CUSTOM, or the name of one of PRESETS for everything
-    optical_depth  of a straight line as long as the domain through density 1, for presets in
-                   volumes and solids; foliage has its own, from its leaves; 0 for the
-                   coefficients of CUSTOM as they are
-    grid           name of the grid to read, or "" for the one that the material names
-    custom         the `Optics` of CUSTOM, 1/m
+    depsgraph  the evaluated scene
+    choice     the `MediumChoice`, which crosses to the solver's process with the sources
     """
 
-    depsgraph: object
-    medium: str
-    optical_depth: float
-    grid: str
-    custom: Optics | None = None
-    notes: list = field(default_factory=list)
-
-    def __post_init__(self):
-        layer = self.depsgraph and self.depsgraph.view_layer
-        if layer and layer.material_override:
+    def __init__(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        medium: str,
+        optical_depth: float,
+        grid: str,
+        custom: Optics | None = None,
+    ) -> None:
+        """medium, optical_depth, grid, custom  see `MediumChoice`"""
+        self.depsgraph = depsgraph
+        self.choice = MediumChoice(medium, optical_depth, grid, custom)
+        layer = depsgraph.view_layer
+        assert layer
+        if layer.material_override:
             self.notes.append(
                 f"The view layer '{layer.name}' overrides all materials with "
-                f"'{layer.material_override.name}', which shows none of the light. It was baked "
-                "for the materials behind that; clear Material Override to see it."
+                f"'{layer.material_override.name}', which shows none of the light. The light was "
+                "baked for the overridden materials; clear Material Override to see it."
             )
 
-    def __getstate__(self):
-        return vars(self) | {"depsgraph": None}  # it stays in Blender
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for the user."""
+        return self.choice.notes
 
-    def volume_optics(self, ob, materials, fallback):
-        """The first `VolumeOptics` of `materials`, or None where a preset stands in for them.
+    def place(self, ob: bpy.types.Object) -> Floats:
+        """(4, 4), the space of the original object `ob` to world space."""
+        place = np.array(ob.evaluated_get(self.depsgraph).matrix_world)
+        if not np.isfinite(place).all():
+            raise SceneError(
+                f"'{ob.name}' has a location, rotation or scale that is not a number; clear it."
+            )
+        return place
 
-        fallback  name of that preset, where none is chosen
+    def volume_optics(
+        self, ob: bpy.types.Object, materials: Sequence[bpy.types.Material | None], fallback: str
+    ) -> VolumeOptics | None:
+        """The first `VolumeOptics` of `materials`, or None if a preset replaces them.
+
+        fallback  the preset for an object without a volume material
         """
-        if self.medium != FROM_MATERIAL:
+        if self.choice.medium != FROM_MATERIAL:
             return None
         attributes = object_attributes(ob, self.depsgraph)
-        found = [optics for m in materials if (optics := volume_optics(m, attributes))]
-        if not found:
+        every = [optics for m in materials if (optics := volume_optics(m, attributes))]
+        if not every:
             self.notes.append(
                 f"'{ob.name}' has no volume material; the preset '{fallback}' stands in."
             )
             return None
-        if any(optics != found[0] for optics in found):
+        if any(optics != every[0] for optics in every):
             self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
-        return found[0]
+        return every[0]
 
-    def glows(self, ob, materials, optics):
-        """[Glow | BlackBody] that the volumes of `materials` shine with.
+    def glows(
+        self,
+        ob: bpy.types.Object,
+        materials: Sequence[bpy.types.Material | None],
+        optics: VolumeOptics | None,
+    ) -> list[Glow | BlackBody]:
+        """The emission of the volumes of `materials`.
 
-        None for those that cannot be read, with a note, or SceneError where nothing else is to be
-        seen of their `optics`.
+        Emission that cannot be read is left out, with a note. Raises SceneError if there would be
+        nothing else to see, because the `optics` are clear.
         """
         try:
             attributes = object_attributes(ob, self.depsgraph)
@@ -80,46 +102,24 @@ class Reader:
                 raise
             if shines:
                 self.notes.append(
-                    f"'{ob.name}' shines by itself, which does not light it, and Replace leaves "
-                    f"that out. {error}"
+                    f"'{ob.name}' shines by itself, but its light is not baked, and Replace "
+                    f"hides it. {error}"
                 )
             return []
 
-    def mixture(self, shares, shines=False):
-        """`mixture` of `shares`, with a note where it is not exact."""
-        mixed = mixture(shares, shines)
-        if not is_exact(shares):
-            self.notes.append(
-                "The materials differ in colour or in how they scatter; the light takes their "
-                "mean, weighed by how dense each is."
-            )
-        return mixed
+    def occluder_colors(self, ob: bpy.types.Object, parts: Sequence[Part]) -> list[Vector]:
+        """[(3,)], the reflectance of each of the parts of `ob`.
 
-    def occluder_colors(self, ob, parts):
-        """[(3,)], the share of light that each of the parts of `ob` throws back.
-
-        0 for materials that cannot be read, with a note: they stop light all the same.
+        It is 0, with a note, for materials that cannot be read: they still stop the light.
         """
         try:
             return [self.leaf(part).reflectance for part in parts]
         except SceneError as error:
-            self.notes.append(f"'{ob.name}' throws no light back. {error}")
+            self.notes.append(f"'{ob.name}' reflects no light. {error}")
             return [np.zeros(3)] * len(parts)
 
-    def leaf(self, part):
-        """The `Leaf` that the faces of a `Part` are."""
-        # Each instance may have attributes of its own.
-        one = None if part.instanced else object_attributes(part.object, self.depsgraph)
-        return leaf_optics(part.material, one)
-
-    def chosen(self, fallback=None):
-        """The `Optics` of the chosen preset, or of the one called `fallback`."""
-        if self.medium == CUSTOM:
-            return self.custom
-        return PRESETS[fallback if self.medium == FROM_MATERIAL else self.medium]
-
-    def preset(self, fallback, length):
-        """The chosen preset (or `fallback`), scaled to `optical_depth` over `length` metres."""
-        if self.optical_depth == 0:
-            return self.chosen(fallback)
-        return scaled(self.chosen(fallback), self.optical_depth / length)
+    def leaf(self, part: Part) -> Leaf:
+        """The `Leaf` of the faces of a `Part`."""
+        # Each instance may have different attributes.
+        attributes = None if part.instanced else object_attributes(part.object, self.depsgraph)
+        return leaf_optics(part.material, attributes)

@@ -1,144 +1,143 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces as sources: foliage, solids and occluders; see `sources`."""
+"""Surfaces as sources: foliage, solids and occluders, as values; see `sources`."""
 
-from functools import cached_property
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import ClassVar
 
 import numpy as np
 
-from ..errors import SceneError
-from . import voxelize
-from .materials import has_surface
-from .mixture import Share, scaled
-from .reader import FROM_MATERIAL
-from .sources import Source, longest
+from ..arrays import Floats, Vector
+from ..transport.medium import Domain, Optics
+from . import enclosure, meshes, voxelize
+from .grids.resample import Box
+from .materials import VolumeOptics
+from .meshes import Faces
+from .mixture import Share
+from .sources import Emission, Source, longest
+from .triangles import longest_edge
 
-COARSEST = 4  # voxels: faces of an occluder with longer edges cannot carry light on their corners
+COARSEST = 4  # voxels: the longest edge of an occluder's faces whose corners can show light
 
 
-class _SurfaceSource(Source):
-    """dimensions        that it has at least where it is not scaled to nothing
-    lights_instances  whether a modifier of the object can light all that it instances
+@dataclass(eq=False, kw_only=True)
+class SurfaceSource(Source):
+    """Faces, one `Faces` for each of its materials.
+
+    lights_instances  whether a modifier of the object can light all its instances
     """
 
-    dimensions = 2
-
-    def __init__(self, ob, parts, reader):
-        super().__init__(ob, reader)
-        self.faces = [part.faces for part in parts]
-        for faces in self.faces:
-            faces.refuse_broken(self.dimensions)
-        # A modifier of the object sees the instances that modifiers make, and no others.
-        duplicates = ob.instance_type != "NONE" or len(ob.particle_systems)
-        instanced = any(part.instanced for part in parts)
-        self.lights_instances = self.is_foliage and instanced and not duplicates
-        if self.shows_light and ob.type == "MESH" and instanced and not self.lights_instances:
-            reader.notes.append(
-                f"The instances of '{ob.name}' shade and colour the light, but show none of it "
-                "themselves; make them real to light them."
-            )
+    faces: Sequence[Faces]
+    lights_instances: bool
 
     @cached_property
-    def bounds(self):
-        return voxelize.world_bounds(self.faces)
+    def bounds(self) -> Box:
+        return meshes.world_bounds(self.faces)
 
     @property
-    def triangles(self):
+    def triangles(self) -> Floats:
         """(n, 3, 3) m, of all its faces."""
         return np.concatenate([faces.triangles for faces in self.faces])
 
 
-class FoliageSource(_SurfaceSource):
-    """Leaves, or any surface that lets light through between its pieces.
+@dataclass(eq=False, kw_only=True)
+class FoliageSource(SurfaceSource):
+    """Leaves, or any surfaces with space between them.
 
-    instanced  names of the materials of what it instances, None where that has none
+    leaves     for each of `faces`: (share of its area that is not transparent, `Optics` at an
+               extinction of 1 1/m)
+    instanced  names of the materials that it instances, None for an instance without a material
     """
+
+    leaves: Sequence[tuple[float, Optics]]
+    instanced: Sequence[str | None]
 
     shows_light = True
     is_foliage = True
 
-    def __init__(self, ob, parts, reader):
-        super().__init__(ob, parts, reader)
-        self.leaves = [self._leaf(part) for part in parts]
-        self.instanced = [part.material and part.material.name for part in parts if part.instanced]
-
-    def _leaf(self, part):
-        """(share of the faces that is not a hole, Optics at 1/m of extinction)."""
-        if self.reader.medium != FROM_MATERIAL:
-            return 1.0, scaled(self.reader.chosen(), 1.0)
-        leaf = self.reader.leaf(part)
-        return leaf.coverage, leaf.optics
-
-    def shares(self, domain):
+    def shares(self, domain: Domain) -> list[Share]:
         return [
-            self._share(faces, *leaf, domain)
+            self._share_of(faces, *leaf, domain)
             for faces, leaf in zip(self.faces, self.leaves, strict=True)
         ]
 
-    def _share(self, faces, coverage, optics, domain):
-        def density(direction=None):
-            return voxelize.foliage_density(faces, domain, direction) * coverage
-
-        return Share(density(), optics, density)
+    def _share_of(self, faces: Faces, coverage: float, optics: Optics, domain: Domain) -> Share:
+        density = partial(_leaf_density, faces, coverage, domain)
+        return Share(density(), optics, density, self.name)
 
 
-class SolidSource(_SurfaceSource):
-    """A closed body of a translucent material."""
+def _leaf_density(
+    faces: Faces, coverage: float, domain: Domain, direction: Floats | None = None
+) -> Floats:
+    """(nx, ny, nz) 1/m, see `foliage_density`."""
+    return voxelize.foliage_density(faces, domain, direction) * coverage
 
-    preset = "pmma"
+
+@dataclass(eq=False, kw_only=True)
+class SolidSource(SurfaceSource):
+    """A closed body of a translucent material.
+
+    shows_light  whether its material has a surface
+    material     its `VolumeOptics`, or None for a preset
+    glows        the emission of the material
+    """
+
+    shows_light: bool
+    material: VolumeOptics | None
+    glows: Sequence[Emission]
+
+    preset: ClassVar[str] = "pmma"
     is_body = True
-    dimensions = 3
-
-    def __init__(self, ob, parts, reader):
-        materials = [part.material for part in parts]
-        self.shows_light = any(map(has_surface, materials))
-        super().__init__(ob, parts, reader)
-        self.material = reader.volume_optics(ob, materials, self.preset)
-        if self.material and self.material.needs_grid:
-            raise SceneError(
-                f"The density of '{ob.name}' follows the attribute "
-                f"'{self.material.density_attribute}', which a mesh does not have inside, so "
-                "Cycles renders nothing of it; give its material a plain density."
-            )
-        self.glows = reader.glows(ob, materials, self.material)
 
     @property
-    def is_volume(self):
+    def is_volume(self) -> bool:
         return not self.shows_light
 
-    def shares(self, domain):
-        fraction = voxelize.solid_fraction(self.triangles, domain)
-        if self.material is None:
-            return [Share(fraction, self.reader.preset(self.preset, longest(domain)))]
-        return [Share(fraction, self.material.optics)]
+    @property
+    def shines(self) -> bool:
+        return bool(self.glows)
 
-    def emission(self, domain):
+    def shares(self, domain: Domain) -> list[Share]:
+        fraction = enclosure.solid_fraction(self.triangles, domain)
+        if self.material is None:
+            optics = self.choice.scaled_optics(self.preset, longest(domain))
+            return [Share(fraction, optics, name=self.name)]
+        return [Share(fraction, self.material.optics, name=self.name)]
+
+    def emission(self, domain: Domain) -> Floats | None:
         if not self.glows:
             return None
         radiance = sum(glow.radiance({}) for glow in self.glows if not glow.needed)
-        fraction = voxelize.solid_fraction(self.triangles, domain)
+        fraction = enclosure.solid_fraction(self.triangles, domain)
         return np.multiply.outer(radiance * np.ones(3), fraction)
 
 
-class OccluderSource(_SurfaceSource):
-    """A body or a wall that stops all light, and throws back the share that its colour says."""
+@dataclass(eq=False, kw_only=True)
+class OccluderSource(SurfaceSource):
+    """A body or a wall that stops all light and reflects a share of it.
+
+    colors  [(3,)], the reflectance of each of `faces`
+    """
+
+    colors: Sequence[Vector]
 
     shows_light = True
     is_wall = True
 
-    def __init__(self, ob, parts, reader):
-        super().__init__(ob, parts, reader)
-        self.colors = reader.occluder_colors(ob, parts)
-
-    def occlusion(self, domain):
+    def occlusion(self, domain: Domain) -> tuple[Floats, Floats] | None:
         triangles = self.triangles
-        if voxelize.longest_edge(triangles) > COARSEST * domain.voxel_size:
+        if longest_edge(triangles) > COARSEST * domain.voxel_size:
             self.shows_light = False
-            self.reader.notes.append(
-                f"'{self.name}' shows none of the light, for its faces are larger than "
+            self.choice.notes.append(
+                f"'{self.name}' shows none of the light, because its faces are larger than "
                 f"{COARSEST} voxels; subdivide it to light it."
             )
         closed = np.concatenate([faces.closed for faces in self.faces])
         areas = [faces.area for faces in self.faces]
-        color = np.average(self.colors, axis=0, weights=areas if any(areas) else None)
-        stopped = voxelize.opaque_share(triangles, closed, domain)
-        return (stopped, color) if stopped.any() else None
+        weights = areas if any(areas) else None
+        color: Floats = np.average(np.array(self.colors), axis=0, weights=weights)
+        share = voxelize.opaque_share(triangles, closed, domain)
+        return (share, color) if share.any() else None

@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volume grids, from files, sequences and geometry nodes."""
+"""Volume grids of OpenVDB, in files or in memory, and in the world. Needs no Blender."""
 
-import tempfile
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openvdb
 
+from ..arrays import Floats, Integers
 from ..cache_key import content_of_file, content_of_grid
 from ..errors import EmptyError, SceneError
+from ..transport.medium import Domain
+from .grids.resample import Box
 from .grids.sparse import SparseCells
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid by its name in a .vdb file, read when it is needed, or one that no file has.
+    """A grid by its name in a .vdb file, read when it is needed, or a grid that is in no file.
 
     path  of the file, or ""
     made  the openvdb grid that is in no file, or None
@@ -24,10 +28,10 @@ class Grid:
 
     name: str
     path: str = ""
-    made: object = None
+    made: Any = None
 
     @cached_property
-    def vdb(self):
+    def vdb(self) -> Any:
         """The openvdb grid; SceneError for a file or a kind of grid that cannot be read."""
         if self.made is not None:
             return self.made
@@ -40,74 +44,14 @@ class Grid:
             ) from error
 
     @property
-    def essence(self):
-        """What the grid holds, wherever it lies."""
+    def essence(self) -> tuple[object, ...]:
+        """What the grid contains, wherever its file lies."""
         if self.made is None:
             return self.name, content_of_file(self.path)
         return self.name, _index_to_object(self.made), content_of_grid(self.made)
 
 
-def grid_names(ob, depsgraph):
-    """Names of the grids that the original object `ob` shows at the current frame."""
-    _geometry, grids = _loaded(ob, depsgraph)
-    return [grid.name for grid in grids]
-
-
-def find_grid(ob, depsgraph, name="density"):
-    """The `Grid` called `name` of the original object `ob` at the current frame.
-
-    Raises EmptyError for a file that cannot be read, or a name that does not exist: another frame
-    may have them.
-    """
-    geometry, grids = _loaded(ob, depsgraph)
-    names = [grid.name for grid in grids]
-    if name not in names:
-        known = list(filter(None, names))
-        if known:
-            advice = f"choose one of: {', '.join(known)}"
-        else:
-            advice = "its grids have no names; name the grid in the program that wrote the file"
-        raise EmptyError(f"'{ob.name}' has no grid '{name}'; {advice}.")
-    if grids.frame_filepath and not ob.modifiers:
-        return Grid(name, grids.frame_filepath)
-    with tempfile.TemporaryDirectory() as folder:
-        path = str(Path(folder, "evaluated.vdb"))
-        geometry.volume.grids.save(filepath=path)
-        return Grid(name, made=openvdb.read(path, name))
-
-
-def has_volume(ob, depsgraph):
-    """Whether the original object `ob` shows a volume, its own or one that its nodes make."""
-    return _volume_geometry(ob, depsgraph) is not None
-
-
-def volume_materials(ob, depsgraph):
-    """[original material or None] of the slots that the volume of `ob` has, maybe by its nodes.
-
-    [] for a volume that nodes make and give none.
-    """
-    if ob.type == "VOLUME":
-        slots = [slot.material for slot in ob.evaluated_get(depsgraph).material_slots]
-        return [material and material.original for material in slots]
-    geometry = _volume_geometry(ob, depsgraph)  # it owns its volume and has to outlive it
-    return [material and material.original for material in geometry.volume.materials]
-
-
-def is_in_object_space(ob, depsgraph):
-    """Whether a material's coefficients are per unit of the object's own space, not per m."""
-    geometry = _volume_geometry(ob, depsgraph)
-    return geometry.volume.render.space == "OBJECT"
-
-
-def world_matrix(ob, depsgraph):
-    """(4, 4): the evaluated object's space to world space; SceneError where that is flat."""
-    matrix = np.array(ob.evaluated_get(depsgraph).matrix_world, np.float32)
-    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
-        raise SceneError(f"'{ob.name}' is scaled to nothing along an axis; give it a size.")
-    return matrix.astype(float)
-
-
-def world_bounds(grid, matrix_world):
+def world_bounds(grid: Any, matrix_world: Floats) -> Box:
     """(lower, upper), each (3,) m: the box around the active voxels of `grid` in world space.
 
     matrix_world  (4, 4), of the object that shows the grid
@@ -115,7 +59,7 @@ def world_bounds(grid, matrix_world):
     return cells_of(grid, matrix_world).bounds
 
 
-def resample(grid, matrix_world, domain):
+def resample(grid: Any, matrix_world: Floats, domain: Domain) -> Floats:
     """`grid` averaged over the voxels of `domain`: (nx, ny, nz) float32, 0 outside of the grid.
 
     A vector grid gives (3, nx, ny, nz).
@@ -124,8 +68,8 @@ def resample(grid, matrix_world, domain):
     return cells_of(grid, matrix_world).on(domain)
 
 
-def cells_of(grid, matrix_world):
-    """The `SparseCells` of an openvdb grid in the world; SceneError for one that is empty.
+def cells_of(grid: Any, matrix_world: Floats) -> SparseCells:
+    """The `SparseCells` of an openvdb grid in the world; SceneError for an empty grid.
 
     matrix_world  (4, 4), of the object that shows the grid
     """
@@ -134,45 +78,15 @@ def cells_of(grid, matrix_world):
     return SparseCells(grid, matrix, lower, upper + 1)
 
 
-def _volume_geometry(ob, depsgraph):
-    """The evaluated geometry of `ob` if there is a volume in it, or None."""
-    try:
-        geometry = ob.evaluated_get(depsgraph).evaluated_geometry()
-    except TypeError:  # empties, lamps and the like
-        return None
-    return geometry if geometry.volume is not None else None
-
-
-def _loaded(ob, depsgraph):
-    """(geometry, grids); the geometry owns the grids and has to outlive them."""
-    geometry = _volume_geometry(ob, depsgraph)
-    if geometry is None:
-        raise SceneError(f"'{ob.name}' has no volume; choose a Volume object or one that makes it.")
-    grids = geometry.volume.grids
-    # The error of an earlier frame stays with the grids of this one.
-    if not grids.load() and not len(grids):
-        raise EmptyError(
-            f"The volume file '{geometry.volume.filepath}' of '{ob.name}' cannot be read "
-            f"({grids.error_message}); correct its path."
-        )
-    if not len(grids):
-        if geometry.volume.is_sequence and not grids.frame_filepath:
-            raise EmptyError(
-                f"'{ob.name}' shows no file of its sequence at this frame; correct its start, its "
-                "number of frames or its mode."
-            )
-        raise EmptyError(f"The volume of '{ob.name}' has no grids; choose a file that has some.")
-    return geometry, grids
-
-
-def _active_box(grid):
+def _active_box(grid: Any) -> tuple[Integers, Integers]:
     """The first and the last active voxel, (3,) int each."""
     if not grid.activeVoxelCount():
         raise EmptyError(f"The grid '{grid.name}' is empty; choose one with active voxels.")
-    return tuple(map(np.array, grid.evalActiveVoxelBoundingBox()))
+    lower, upper = map(np.array, grid.evalActiveVoxelBoundingBox())
+    return lower, upper
 
 
-def _index_to_object(grid):
+def _index_to_object(grid: Any) -> Floats:
     """(4, 4): the grid's own transform."""
     if not grid.transform.isLinear:
         raise SceneError(f"The grid '{grid.name}' is a frustum; save it with a linear transform.")

@@ -7,7 +7,7 @@ from bpy.props import BoolProperty
 from .. import bake
 from ..errors import LightingError
 from ..output import shading_volumes
-from ..scene.reader import CUSTOM
+from ..scene.medium_choice import CUSTOM
 from ..sequence import Sequence
 from . import running
 

@@ -6,8 +6,8 @@ import textwrap
 import bpy
 
 from ..output.shading_volumes import uses_light
+from ..scene.medium_choice import CUSTOM, FROM_MATERIAL
 from ..scene.opening import SURFACE_TYPES
-from ..scene.reader import CUSTOM, FROM_MATERIAL
 from . import running
 from .operators import (
     LB_OT_bake,

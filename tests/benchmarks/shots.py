@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import openvdb
 
-from lb_lighting.scene import voxelize
+from lb_lighting.scene.enclosure import solid_fraction
 from lb_lighting.transport.medium import PRESETS, Domain
 from tests.benchmarks import crowns, endtoend, media
 from tests.demo import assets
@@ -188,7 +188,7 @@ def closed(mesh, edge=CLOSED):
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     domain = Domain.around(lower, upper, edge, 3)
     grid = openvdb.FloatGrid()
-    inside = voxelize.solid_fraction(triangles, domain)
+    inside = solid_fraction(triangles, domain)
     grid.copyFromArray(np.ascontiguousarray(0.5 - inside, np.float32))
     grid.transform = openvdb.createLinearTransform(domain.voxel_size)
     corners, quads = grid.convertToQuads(isovalue=0.0)

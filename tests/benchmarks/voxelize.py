@@ -13,7 +13,8 @@ bpy.utils.expose_bundled_modules()
 
 from lb_lighting.cli import leave  # noqa: E402 - OpenVDB has to be exposed first
 from lb_lighting.output.vdb import AXES, direct_grid, flux_grid, write_vdb  # noqa: E402
-from lb_lighting.scene.voxelize import area_of, foliage_density, surface_area  # noqa: E402
+from lb_lighting.scene.triangles import area_of  # noqa: E402
+from lb_lighting.scene.voxelize import foliage_density, surface_area  # noqa: E402
 from lb_lighting.transport import Domain  # noqa: E402
 from tests.benchmarks.table import publish  # noqa: E402
 

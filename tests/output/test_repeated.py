@@ -19,7 +19,7 @@ from lb_lighting.output.ambient import (
 )
 from lb_lighting.output.attribute import has_ambient
 from lb_lighting.output.modifier import GRID_GROUP, has_modifier
-from lb_lighting.scene.meshes import read_mesh
+from lb_lighting.scene.read_meshes import read_mesh
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.scenery import bake_light, snapshot

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes read as they lie in memory: the triangles and normals made of that, against Blender's."""
+"""The triangles and normals computed from a mesh in memory, compared with Blender's."""
 
 import bpy
 import numpy as np
 import pytest
 
-from lb_lighting.scene.meshes import read_mesh, vertices
+from lb_lighting.scene.read_meshes import read_mesh, vertices
 from tests import scenery
 
 
 def spread(faces, height=0.3, seed=0):
-    """A mesh of faces (points) beside one another, bent by about `height` m."""
+    """A mesh of separate faces (points), bent by about `height` m."""
     rng = np.random.default_rng(seed)
     points, corners = [], []
     for number, face in enumerate(faces):
@@ -59,7 +59,7 @@ def test_quads_bent_at_random():
     mesh = spread(rng.normal(size=(500, 4, 2)), 1.0)
     corners, _slots, normals = blenders(mesh)
     read = read_mesh(mesh)
-    assert np.mean(read.corners[1::2, 0] != read.corners[::2, 0]) > 0.1  # some are turned
+    assert np.mean(read.corners[1::2, 0] != read.corners[::2, 0]) > 0.1  # flipped
     np.testing.assert_array_equal(read.corners, corners)
     # Blender's arccosine is an approximation.
     assert read.normals == pytest.approx(normals, abs=5e-3)
@@ -67,7 +67,7 @@ def test_quads_bent_at_random():
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_points_that_faces_share(cut):
-    """Of a ball that is dented, and its first face is taken out."""
+    """For a dented ball without its first face."""
     mesh = scenery.add_ball().data
     points = np.array([vertex.co for vertex in mesh.vertices])
     points *= np.random.default_rng(2).uniform(0.8, 1.2, (len(points), 1))
@@ -85,7 +85,7 @@ def test_points_that_faces_share(cut):
 
 
 def test_slots():
-    """Those that are not there are the last one."""
+    """Slots that do not exist count as the last one."""
     mesh = spread(MESHES["both"])
     assert not read_mesh(mesh).slot.any()
     for number, face in enumerate(mesh.polygons):
@@ -96,7 +96,7 @@ def test_slots():
 
 
 def test_in_edit_mode():
-    """Which hides the attributes."""
+    """Edit Mode hides the attributes."""
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=3)
     ob = bpy.context.object
     for number, face in enumerate(ob.data.polygons):
@@ -108,10 +108,10 @@ def test_in_edit_mode():
 
     expected = read()
     bpy.ops.object.mode_set(mode="EDIT")
-    found = read()
-    assert len(found.points) == 49
+    mesh = read()
+    assert len(mesh.points) == 49
     for name in ("points", "corners", "slot"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(mesh, name), getattr(expected, name))
 
 
 def test_without_faces_or_points():
@@ -129,9 +129,9 @@ def test_a_modifier_that_keeps_the_points_moves_them():
     modifier = ob.modifiers.new("moved", "DISPLACE")
     modifier.direction, modifier.strength = "Z", 1.0
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    own = np.array([vertex.co for vertex in ob.data.vertices])
+    original = np.array([vertex.co for vertex in ob.data.vertices])
     mesh, _to_world = vertices(ob, depsgraph)
-    assert mesh.points == pytest.approx(np.add(own, (0, 0, 0.5)), abs=1e-6)
+    assert mesh.points == pytest.approx(np.add(original, (0, 0, 0.5)), abs=1e-6)
     ob.modifiers.new("more", "SUBSURF")
     mesh, _to_world = vertices(ob, bpy.context.evaluated_depsgraph_get())
-    assert mesh.points == pytest.approx(own)
+    assert mesh.points == pytest.approx(original)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is selected and cannot be lit is skipped, and told; it does not stop the rest."""
+"""Selected objects that cannot be lit are skipped with a note; the others are baked."""
 
 import bpy
 import numpy as np
@@ -9,8 +9,9 @@ from lb_lighting import bake, cli
 from lb_lighting.errors import LightingError, SceneError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.volume import RESULT, baked_volumes
+from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.scenery import bake_light
@@ -18,7 +19,7 @@ from tests.scenery import bake_light
 
 @pytest.fixture
 def scene(scene):
-    """With few voxels: these tests are not about the light."""
+    """A scene with few voxels, because these tests do not check the light."""
     scene.lb_lighting.resolution = 8
     return scene
 
@@ -90,11 +91,11 @@ UNREADABLE = {
 
 
 class TestReading:
-    def test_what_is_neither_is_skipped_with_one_note(self):
+    def test_objects_that_are_no_source_share_a_note(self):
         scenery.add_leaves()
         others = add_everything_else()
-        found, (note,) = read(*others[:5], bpy.data.objects["leaves"])
-        assert found == ["leaves"]
+        names, (note,) = read(*others[:5], bpy.data.objects["leaves"])
+        assert names == ["leaves"]
         assert note == (
             "Skipped, as they have neither a volume nor faces: "
             "'eye', 'lamp', 'root', 'rig', 'cage'."
@@ -102,8 +103,8 @@ class TestReading:
 
     def test_one_is_skipped(self):
         leaves, eye = scenery.add_leaves(), scenery.link("eye", bpy.data.cameras.new("eye"))
-        found, notes = read(eye, leaves)
-        assert found == ["leaves"]
+        names, notes = read(eye, leaves)
+        assert names == ["leaves"]
         assert notes == ["Skipped, as it has neither a volume nor faces: 'eye'."]
 
     def test_a_long_list_is_shortened(self):
@@ -112,26 +113,26 @@ class TestReading:
         names = "'eye', 'lamp', 'root', 'rig', 'cage', 'path', 'words', 'noise'"
         assert note.endswith(f": {names} and 3 more.")
 
-    def test_nothing_but_those_is_refused(self):
+    def test_a_selection_without_a_source_is_refused(self):
         with pytest.raises(SceneError, match=r"^'eye' has neither a volume nor faces; select"):
             read(*add_everything_else())
 
-    def test_what_is_hidden_is_skipped(self):
+    def test_hidden_objects_are_skipped(self):
         leaves, away = scenery.add_leaves(), scenery.add_ball("away")
         away.hide_set(True)
         assert read(leaves, away) == (["leaves"], ["Skipped, as it is hidden: 'away'."])
 
     @pytest.mark.parametrize("spoil", UNREADABLE, ids=lambda spoil: spoil.__name__)
-    def test_what_cannot_be_read_is_left_out_and_named(self, spoil):
+    def test_a_source_that_cannot_be_read_is_left_out_and_named(self, spoil):
         leaves, ball = scenery.add_leaves(), scenery.add_ball()
         spoil(ball)
         bpy.context.view_layer.update()
-        found, notes = read(ball, leaves)
-        assert found == ["leaves"]
+        names, notes = read(ball, leaves)
+        assert names == ["leaves"]
         assert notes == [f"'ball' is left out. {UNREADABLE[spoil]}"]
 
     @pytest.mark.parametrize("spoil", UNREADABLE, ids=lambda spoil: spoil.__name__)
-    def test_what_cannot_be_read_is_refused_by_itself(self, spoil):
+    def test_a_single_source_that_cannot_be_read_is_refused(self, spoil):
         ball = scenery.add_ball()
         spoil(ball)
         bpy.context.view_layer.update()
@@ -143,12 +144,12 @@ class TestReading:
         gone = bpy.data.volumes.new("gone")
         gone.filepath = "//gone.vdb"
         gone = scenery.link("gone", gone)
-        found, notes = read(gone, scenery.add_leaves())
-        assert found == ["leaves"]
+        names, notes = read(gone, scenery.add_leaves())
+        assert names == ["leaves"]
         assert notes[0].startswith("'gone' is left out. The volume file '//gone.vdb' of 'gone'")
 
     @pytest.mark.parametrize("number", [-5, 7])
-    def test_a_material_that_is_not_there_is_the_nearest(self, number):
+    def test_a_missing_slot_counts_as_the_nearest(self, number):
         ball = scenery.add_ball(material=scenery.leaf_material())
         ball.data.materials.append(scenery.leaf_material((0.9, 0.1, 0.1)))
         slots = ball.data.attributes.new("material_index", "INT", "FACE")
@@ -160,7 +161,7 @@ class TestReading:
 
 
 class TestBakes:
-    def test_all_that_is_there_is_selected(self, scene, tmp_path):
+    def test_everything_is_selected(self, scene, tmp_path):
         leaves, _others = scenery.add_leaves(), add_everything_else()
         scenery.select(*scene.objects)
         assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
@@ -176,11 +177,11 @@ class TestBakes:
         (lost,) = baked_volumes(scene)
         bpy.data.objects.remove(fog)
         outcome = bake_light(lost, leaves)
-        told = f"'{lost.name}' is left out. What '{lost.name}' was baked from is gone; select"
-        assert any(note.startswith(told) for note in outcome.notes)
+        beginning = f"'{lost.name}' is left out. What '{lost.name}' was baked from is gone; select"
+        assert any(note.startswith(beginning) for note in outcome.notes)
         assert is_lit(leaves)
 
-    def test_what_is_linked_is_left_out(self, scene, tmp_path):
+    def test_linked_objects_are_left_out(self, scene, tmp_path):
         scenery.add_ball("far")
         path = str(tmp_path / "library.blend")
         bpy.data.libraries.write(path, {bpy.data.objects["far"]})
@@ -191,11 +192,11 @@ class TestBakes:
         leaves = scenery.add_leaves()
         outcome = bake_light(here.objects[0], leaves)
         assert is_lit(leaves)
-        told = "'far' is left out. 'far' is linked from another file; make it local."
-        assert told in outcome.notes
+        note = "'far' is left out. 'far' is linked from another file; make it local."
+        assert note in outcome.notes
 
-    def test_a_solid_that_is_none_is_left_out_and_stays_as_it_was(self, scene):
-        """Which shows only when its voxels are filled."""
+    def test_an_open_solid_is_left_out_and_unchanged(self, scene):
+        """It is names only when the voxels are filled."""
         leaves, mesh = scenery.add_leaves(), bpy.data.meshes.new("sheet")
         mesh.from_pydata([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [], [(0, 1, 2, 3)])
         mesh.materials.append(scenery.volume_material())
@@ -208,14 +209,14 @@ class TestBakes:
         with pytest.raises(SceneError, match="The mesh is flat"):
             bake_light(sheet)
 
-    def test_a_loose_vertex_nowhere_does_not_matter(self, scene):
+    def test_a_loose_vertex_at_infinity_does_not_matter(self, scene):
         leaves = scenery.add_leaves()
         leaves.data.vertices.add(2)
         leaves.data.vertices[-2].co, leaves.data.vertices[-1].co = (np.nan, 0, 0), (3e38, 0, 0)
         bake_light(leaves)
         assert np.isfinite(scenery.ambient(leaves)).all()
 
-    def test_a_domain_that_is_nowhere_is_named(self, scene):
+    def test_a_domain_at_infinity_is_named(self, scene):
         leaves, box = scenery.add_leaves(), scenery.add_ball("box")
         box.location.x = np.nan
         bpy.context.view_layer.update()
@@ -236,7 +237,7 @@ class TestBakes:
         bake_light(leaves, wall)
         assert is_lit(leaves)
 
-    def test_what_is_tiny_among_the_others_is_told(self, scene):
+    def test_an_object_much_smaller_than_the_others_is_noted(self, scene):
         leaves, speck = scenery.add_leaves(), scenery.add_ball("speck", radius=0.01)
         outcome = bake_light(leaves, speck)
         (note,) = [note for note in outcome.notes if "voxels large among the others" in note]

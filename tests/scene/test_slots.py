@@ -7,8 +7,9 @@ import pytest
 
 from lb_lighting.errors import SceneError
 from lb_lighting.scene import smoke
+from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 from tests.scene.trees import add_node, attribute, combine, connect, make_material, surface
@@ -154,7 +155,7 @@ class TestGrids:
             "Density Attribute"
         ].default_value = ""
         source, (note,) = read(ob)
-        assert note.startswith("The material of 'fog' reads no grid, so Cycles renders nothing")
+        assert note.startswith("The material of 'fog' reads no grid, so Cycles does not")
         assert set(np.unique(source.shares(DOMAIN)[0].density)) == {0, 1}
         assert read(ob, grid="density")[1] == []
 
@@ -171,7 +172,7 @@ class TestGrids:
         both = combine(tree, tree.nodes["Emission"], add_node(tree, "ShaderNodeVolumeScatter"))
         connect(material, both, "Volume")
         notes = read(ob)[1]
-        assert any(note.startswith("'fog' shines by itself, which does not") for note in notes)
+        assert any(note.startswith("'fog' shines by itself, but its") for note in notes)
 
     def test_emission_by_a_missing_grid_is_refused_if_it_is_all(self, tmp_path):
         ob = scenery.add_fog(tmp_path, material=False)

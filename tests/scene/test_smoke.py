@@ -8,7 +8,7 @@ from lb_lighting.errors import SceneError
 from lb_lighting.scene import smoke
 
 
-def test_plain_object_is_no_domain():
+def test_a_plain_object_is_no_domain():
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
     assert smoke.find_domain_settings(cube) is None
@@ -16,7 +16,7 @@ def test_plain_object_is_no_domain():
         smoke.world_bounds(cube, bpy.context.evaluated_depsgraph_get())
 
 
-def test_source_of_smoke_is_no_domain():
+def test_a_flow_object_is_no_domain():
     bpy.ops.mesh.primitive_cube_add()
     bpy.context.object.modifiers.new("smoke", "FLUID").fluid_type = "FLOW"
     assert smoke.find_domain_settings(bpy.context.object) is None

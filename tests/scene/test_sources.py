@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What objects are to the light, and many of them as one medium."""
+"""Sources of every kind, and mixtures of several in one medium."""
 
 import bpy
 import numpy as np
 import pytest
 
 from lb_lighting.errors import SceneError
+from lb_lighting.scene.medium_choice import FROM_MATERIAL, MediumChoice
 from lb_lighting.scene.mixture import Share, mixture, occluders, with_shadows
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.scene.sources import VolumeSource
 from lb_lighting.scene.surface_sources import SolidSource
 from lb_lighting.transport.lights.distant import Sky, Sun
@@ -27,14 +28,14 @@ def read(*objects, medium=FROM_MATERIAL, optical_depth=30.0, grid=""):
 
 
 def share(ob, **choices):
-    """The one share of one object."""
+    """The only share of an object."""
     ((source,), _notes) = read(ob, **choices)
-    (found,) = source.shares(DOMAIN)
-    return found
+    (only,) = source.shares(DOMAIN)
+    return only
 
 
 def add_nodes(ob, kind, material=None):
-    """Let geometry nodes replace the geometry of `ob` by that of one node."""
+    """Replace the geometry of `ob` by that of a single geometry node."""
     tree = bpy.data.node_groups.new("nodes", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     geometry = tree.nodes.new(kind).outputs[0]
@@ -67,30 +68,30 @@ class TestRoles:
             ),
         ],
     )
-    def test_of_an_object(self, tmp_path, make, kind):
+    def test_role_of_an_object(self, tmp_path, make, kind):
         ((source,), _notes) = read(make(tmp_path))
         assert type(source).__name__ == kind
 
-    def test_a_body_is_shown_by_its_surface_or_else_as_a_volume(self):
+    def test_a_solid_without_a_surface_is_shown_as_a_volume(self):
         fog, glass = scenery.volume_material(), scenery.volume_material()
         nodes = glass.node_tree.nodes
         surface = nodes.new("ShaderNodeBsdfGlass").outputs[0]
         output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
         glass.node_tree.links.new(surface, output.inputs["Surface"])
         balls = [scenery.add_ball(role="SOLID", material=m) for m in (fog, glass, None)]
-        found, _notes = read(*balls)
-        assert [source.is_volume for source in found] == [True, False, False]
-        assert [source.shows_light for source in found] == [False, True, True]
+        sources, _notes = read(*balls)
+        assert [source.is_volume for source in sources] == [True, False, False]
+        assert [source.shows_light for source in sources] == [False, True, True]
 
-    def test_light_shows_on_surfaces(self, tmp_path):
+    def test_surfaces_show_light(self, tmp_path):
         fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
         balls = [scenery.add_ball(role=role) for role in ("OCCLUDER", "SOLID")]
-        found, _notes = read(fog, leaves, *balls)
-        assert [source.shows_light for source in found] == [False, True, True, True]
-        assert [source.is_body for source in found] == [False, False, False, True]
+        sources, _notes = read(fog, leaves, *balls)
+        assert [source.shows_light for source in sources] == [False, True, True, True]
+        assert [source.is_body for source in sources] == [False, False, False, True]
 
     @pytest.mark.parametrize("how", ["object", "eye", "collection"])
-    def test_hidden_is_named(self, how):
+    def test_a_hidden_object_is_named(self, how):
         ob = scenery.add_leaves()
         if how == "object":
             ob.hide_viewport = True
@@ -105,7 +106,7 @@ class TestRoles:
         with pytest.raises(SceneError, match=r"^'leaves' is hidden; show it to light it\.$"):
             read(ob)
 
-    def test_a_preset_fills_what_the_nodes_make_unreadable(self):
+    def test_a_preset_replaces_nodes_that_cannot_be_read(self):
         material = scenery.volume_material()
         noise = material.node_tree.nodes.new("ShaderNodeTexNoise").outputs[0]
         principled = material.node_tree.nodes["Principled Volume"]
@@ -122,7 +123,7 @@ class TestRoles:
         assert upper - lower == pytest.approx((2.2, 2.2, 0.2), abs=0.05)
         assert not source.is_volume
 
-    def test_an_instance_counts_for_the_object_that_makes_it(self):
+    def test_an_instance_belongs_to_the_object_that_makes_it(self):
         leaves = scenery.add_leaves()
         collection = bpy.data.collections.new("tree")
         collection.objects.link(leaves)
@@ -141,9 +142,9 @@ class TestRoles:
 
 class TestVolumes:
     def test_material(self, tmp_path):
-        found = share(scenery.add_fog(tmp_path))
-        assert found.optics == Optics(pytest.approx(3.6), pytest.approx(0.4), pytest.approx(0.3))
-        assert found.density.max() == pytest.approx(1, abs=0.1)
+        result = share(scenery.add_fog(tmp_path))
+        assert result.optics == Optics(pytest.approx(3.6), pytest.approx(0.4), pytest.approx(0.3))
+        assert result.density.max() == pytest.approx(1, abs=0.1)
 
     def test_a_homogeneous_material_fills_the_grid(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
@@ -154,20 +155,20 @@ class TestVolumes:
 
     @pytest.mark.parametrize("name", PRESETS)
     def test_preset(self, tmp_path, name):
-        found = share(scenery.add_fog(tmp_path), medium=name, optical_depth=12)
-        assert extinction(found.optics) * LONGEST == pytest.approx(12)
+        result = share(scenery.add_fog(tmp_path), medium=name, optical_depth=12)
+        assert extinction(result.optics) * LONGEST == pytest.approx(12)
         preset = PRESETS[name]
-        ratio = np.divide(found.optics.sigma_s, preset.sigma_s)
-        assert ratio == pytest.approx(np.divide(found.optics.sigma_a, preset.sigma_a))
+        ratio = np.divide(result.optics.sigma_s, preset.sigma_s)
+        assert ratio == pytest.approx(np.divide(result.optics.sigma_a, preset.sigma_a))
         assert np.ptp(ratio) == pytest.approx(0, abs=1e-9)
-        assert found.optics.g == preset.g
+        assert result.optics.g == preset.g
 
-    def test_no_material_is_told(self, tmp_path):
+    def test_a_missing_material_is_noted(self, tmp_path):
         (_found, notes) = read(scenery.add_fog(tmp_path, material=False))
         assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
 
     @pytest.mark.parametrize("medium", [FROM_MATERIAL, "cloud"])
-    def test_own_light(self, tmp_path, medium):
+    def test_emission(self, tmp_path, medium):
         ob = scenery.add_fog(tmp_path)
         ((source,), notes) = read(ob, medium=medium)
         assert source.emission(DOMAIN) is None
@@ -178,7 +179,7 @@ class TestVolumes:
         assert source.emission(DOMAIN)[:, 10, 10, 10] == pytest.approx((2, 2, 2))
         assert not source.emission(DOMAIN)[:, 0].any()
 
-    def test_own_light_that_cannot_be_read_is_told(self, tmp_path):
+    def test_emission_that_cannot_be_read_is_noted(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
         tree = ob.active_material.node_tree
         noise = tree.nodes.new("ShaderNodeTexNoise")
@@ -187,9 +188,9 @@ class TestVolumes:
         ((source,), notes) = read(ob)
         assert source.emission(DOMAIN) is None
         assert len(notes) == 1
-        assert "'fog' shines by itself, which does not light it" in notes[0]
+        assert "'fog' shines by itself, but its light is not baked" in notes[0]
 
-    def test_own_light_in_object_space(self, tmp_path):
+    def test_emission_in_object_space(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
         ob.scale, ob.data.render.space = (2, 2, 2), "OBJECT"
         principled = ob.active_material.node_tree.nodes["Principled Volume"]
@@ -197,7 +198,7 @@ class TestVolumes:
         ((source,), _) = read(ob)
         assert source.emission(DOMAIN)[:, 10, 10, 10] == pytest.approx((1, 1, 1))
 
-    def test_one_that_is_scaled_to_nothing_is_refused(self, tmp_path):
+    def test_a_volume_scaled_to_nothing_is_refused(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
         ob.scale, ob.rotation_euler = (1, 0, 1), (0.3, 0.2, 0.1)
         with pytest.raises(SceneError, match=r"^'fog' is scaled to nothing along an axis; give"):
@@ -212,9 +213,9 @@ class TestVolumes:
         assert type(source) is VolumeSource
         assert notes == []
         assert np.mean(source.bounds, axis=0) == pytest.approx((0.2, 0, 0), abs=0.05)
-        (found,) = source.shares(DOMAIN)
-        assert extinction(found.optics) == pytest.approx(2)
-        assert found.density[8:12, 8:12, 8:12] == pytest.approx(1, rel=1e-3)
+        (result,) = source.shares(DOMAIN)
+        assert extinction(result.optics) == pytest.approx(2)
+        assert result.density[8:12, 8:12, 8:12] == pytest.approx(1, rel=1e-3)
 
     def test_made_by_nodes_that_set_no_material(self):
         ob = scenery.add_ball(material=scenery.volume_material(density=3.0))
@@ -227,7 +228,7 @@ class TestVolumes:
 
 
 class TestSurfaces:
-    def test_foliage_has_its_own_depth(self):
+    def test_foliage_ignores_the_optical_depth(self):
         ob = scenery.add_leaves()
         by_material, by_preset = share(ob), share(ob, medium="plant", optical_depth=5)
         assert np.array_equal(by_material.density, by_preset.density)
@@ -249,13 +250,13 @@ class TestSurfaces:
         assert green.optics.sigma_s == pytest.approx((0.1, 0.5, 0.1))
         assert red.optics.sigma_s == pytest.approx((0.5, 0.1, 0.1))
 
-    def test_solid_is_full_inside(self):
-        found = share(scenery.add_ball(role="SOLID"), optical_depth=7)
-        volume = found.density.sum() * DOMAIN.voxel_size**3
+    def test_a_solid_is_full_inside(self):
+        result = share(scenery.add_ball(role="SOLID"), optical_depth=7)
+        volume = result.density.sum() * DOMAIN.voxel_size**3
         assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.05)
-        assert extinction(found.optics) * LONGEST == pytest.approx(7)
+        assert extinction(result.optics) * LONGEST == pytest.approx(7)
 
-    def test_solid_is_filled_by_the_first_material_that_has_a_volume(self):
+    def test_a_solid_is_filled_by_the_first_material_that_has_a_volume(self):
         ob = scenery.add_ball(material=scenery.leaf_material())
         ob.data.materials.append(scenery.volume_material(density=5.0))
         ob.data.polygons[0].material_index = 1
@@ -264,11 +265,11 @@ class TestSurfaces:
         assert notes == []
         ob.data.materials.append(scenery.volume_material(density=6.0))
         ob.data.polygons[1].material_index = 2
-        told = "'ball' has several volume materials; the first fills it all."
-        assert read(ob)[1] == [told]
+        note = "'ball' has several volume materials; the first fills it all."
+        assert read(ob)[1] == [note]
 
     @pytest.mark.parametrize("role", ["FOLIAGE", "SOLID", "OCCLUDER"])
-    def test_instances_of_a_mesh_are_told(self, role):
+    def test_instances_of_a_mesh_are_noted(self, role):
         parent, child = scenery.add_ball(role=role), scenery.add_ball("child", radius=0.1)
         child.parent = parent
         assert len(read(parent, medium="cloud")[1]) == 0
@@ -283,19 +284,19 @@ class TestSurfaces:
         mesh.materials.append(scenery.leaf_material())
         inputs = mesh.materials[0].node_tree.nodes["Principled BSDF"].inputs
         inputs["Alpha"].default_value = 0.5
-        found = share(scenery.link("flat", mesh))
-        assert found.toward((0, 0, 1.0)) == pytest.approx(2 * found.density)
-        assert not found.toward((1.0, 0, 0)).any()
-        assert found.density.sum() * DOMAIN.voxel_size**3 == pytest.approx(0.5 / 2, rel=1e-3)
+        result = share(scenery.link("flat", mesh))
+        assert result.toward((0, 0, 1.0)) == pytest.approx(2 * result.density)
+        assert not result.toward((1.0, 0, 0)).any()
+        assert result.density.sum() * DOMAIN.voxel_size**3 == pytest.approx(0.5 / 2, rel=1e-3)
 
 
 class TestOccluders:
     def read(self, *objects):
-        found, notes = read(*objects)
-        assert all(source.shares(DOMAIN) == [] for source in found)
-        return occluders([source.occlusion(DOMAIN) for source in found]), notes, found
+        sources, notes = read(*objects)
+        assert all(source.shares(DOMAIN) == [] for source in sources)
+        return occluders([source.occlusion(DOMAIN) for source in sources]), notes, sources
 
-    def test_a_body_stops_light_and_throws_its_colour_back(self):
+    def test_a_body_stops_light_and_reflects_its_colour(self):
         material = scenery.leaf_material(color=(0.3, 0.2, 0.1))
         (stopped, albedo), notes, _found = self.read(
             scenery.add_ball(role="OCCLUDER", material=material)
@@ -321,7 +322,7 @@ class TestOccluders:
         assert albedo[:, 5, 10, 10] == pytest.approx((0.5, 0.2, 0.1))
         assert albedo[:, 14, 10, 10] == pytest.approx((0.1, 0.2, 0.5))
 
-    def test_colours_in_one_object_count_by_their_area(self):
+    def test_the_colour_of_an_object_is_weighted_by_area(self):
         ob = scenery.add_ball(role="OCCLUDER", material=scenery.leaf_material((0.6, 0.6, 0.6)))
         ob.data.materials.append(scenery.leaf_material((0.2, 0.2, 0.2)))
         upper = np.array([face.center.z > 0 for face in ob.data.polygons])
@@ -329,7 +330,7 @@ class TestOccluders:
         (_stopped, albedo), _notes, _found = self.read(ob)
         assert albedo == pytest.approx([0.4], abs=0.02)
 
-    def test_what_cannot_be_read_is_black(self):
+    def test_a_material_that_cannot_be_read_is_black(self):
         ob = scenery.add_ball(role="OCCLUDER", material=scenery.leaf_material())
         nodes = ob.active_material.node_tree.nodes
         noise = nodes.new("ShaderNodeTexNoise").outputs["Color"]
@@ -337,7 +338,7 @@ class TestOccluders:
         ob.active_material.node_tree.links.new(noise, color)
         (_stopped, albedo), (note,), _found = self.read(ob)
         assert albedo == 0
-        assert note.startswith("'ball' throws no light back. 'leaf' takes a value from the node")
+        assert note.startswith("'ball' reflects no light. 'leaf' takes a value from the node")
 
     def test_a_coarse_wall_stops_light_but_shows_none(self):
         wall = bpy.data.meshes.new("wall")
@@ -347,20 +348,20 @@ class TestOccluders:
         (stopped, _albedo), (note,), (source,) = self.read(wall)
         assert np.all(stopped[3:17, 3:17].max(axis=2) > 0.95)
         assert not source.shows_light
-        assert note.startswith("'wall' shows none of the light, for its faces are larger than 4")
+        assert note.startswith("'wall' shows none of the light, because its faces are larger")
 
 
 class TestShadows:
     SUN, SKY = Sun((0, 0, -2), 1.0), Sky(1.0)
 
-    def test_leaves_shade_a_sun_by_what_they_show_it(self):
-        found = share(scenery.add_leaves())
-        sun, sky = with_shadows([self.SUN, self.SKY], [found])
-        assert sun.shadow_density == pytest.approx(found.toward((0, 0, -1)))
+    def test_leaves_shade_a_sun_by_their_projected_area(self):
+        result = share(scenery.add_leaves())
+        sun, sky = with_shadows([self.SUN, self.SKY], [result])
+        assert sun.shadow_density == pytest.approx(result.toward((0, 0, -1)))
         assert sky is self.SKY
 
-    def test_is_in_the_units_of_a_mixture(self):
-        """Where a share has no directions, its density is the one that the mixture has."""
+    def test_shadow_density_has_the_units_of_a_mixture(self):
+        """A share without directions keeps its density in the mixture."""
         leaf, fog = np.ones((2, 2, 2), np.float32), np.full((2, 2, 2), 3, np.float32)
         shares = [
             Share(leaf, Optics(0.5, 0.5, 0.1), lambda direction: 2 * leaf),
@@ -371,7 +372,7 @@ class TestShadows:
         assert density == pytest.approx(1 + 15 * leaf)
         assert sun.shadow_density == pytest.approx(2 + 15 * leaf)
 
-    def test_of_what_is_alike_from_everywhere_is_none(self, tmp_path):
+    def test_a_volume_has_no_shadow_density(self, tmp_path):
         lights = [self.SUN, self.SKY]
         assert with_shadows(lights, [share(scenery.add_fog(tmp_path))]) is lights
 
@@ -420,7 +421,7 @@ class TestMixture:
         _density, mixed = mixture([Share(self.ONE, Optics(0.0, s, 0.7)) for s in (1.0, 2.0)])
         assert mixed.g == 0
 
-    def test_what_light_does_not_meet_does_not_count(self):
+    def test_empty_and_clear_shares_do_not_count(self):
         optics, clear = Optics(3.0, 1.0, 0.5), Optics(0.0, 0.0, 0.0)
         nowhere = Share(0 * self.ONE, Optics((1.0, 2.0, 3.0), 0.0))
         density, mixed = mixture([Share(self.TWO, optics), Share(self.ONE, clear), nowhere])
@@ -428,7 +429,7 @@ class TestMixture:
         assert np.array_equal(density, self.TWO)
 
     @pytest.mark.parametrize(
-        ("second", "told"),
+        ("second", "is_noted"),
         [
             (Optics(2.0, 2.0, 0.5), False),
             (Optics(40.0, 40.0, 0.5), False),
@@ -437,13 +438,13 @@ class TestMixture:
             (Optics(2.0, 2.0, 0.4), True),
         ],
     )
-    def test_what_is_a_mean_is_told(self, second, told):
-        reader = Reader(None, FROM_MATERIAL, 30, "")
+    def test_a_mean_is_noted(self, second, is_noted):
+        choice = MediumChoice(FROM_MATERIAL, 30, "")
         shares = [Share(self.ONE, Optics(2.0, 2.0, 0.5)), Share(self.ONE, second)]
-        density, optics = reader.mixture(shares)
+        density, optics = choice.mixture(shares)
         assert np.array_equal(density, mixture(shares)[0])
         assert optics == mixture(shares)[1]
-        assert [note.startswith(self.DIFFER) for note in reader.notes] == [True] * told
+        assert [note.startswith(self.DIFFER) for note in choice.notes] == [True] * is_noted
 
     @pytest.mark.parametrize(
         "shares",
@@ -455,4 +456,9 @@ class TestMixture:
     )
     def test_nothing_to_light(self, shares):
         with pytest.raises(SceneError, match="no density to light here"):
+            mixture(shares)
+
+    def test_nothing_to_light_names_the_objects(self):
+        shares = [Share(0 * self.ONE, Optics(1.0, 0.0), name=name) for name in ("fog", "leaves")]
+        with pytest.raises(SceneError, match=r"the frame of 'fog', 'leaves', and the Domain\.$"):
             mixture(shares)

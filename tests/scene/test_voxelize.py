@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes of every origin, their area by voxel, and the space that they enclose."""
+"""Meshes of every origin: their area in each voxel, and the space that they enclose."""
 
 import time
 from math import pi
@@ -12,7 +12,7 @@ import pytest
 from mathutils import Euler, Matrix
 
 from lb_lighting.errors import SceneError
-from lb_lighting.scene import meshes, voxelize
+from lb_lighting.scene import enclosure, meshes, read_meshes, voxelize
 from lb_lighting.transport.medium import Domain
 
 ROTATED_SCALED = Matrix.LocRotScale((3, -1, 2), Euler((0.4, 0.9, -0.3)), (2, 0.5, 1.3))
@@ -48,7 +48,7 @@ def add_sphere(subdivisions=4):
 
 
 def parts_of(*objects):
-    return meshes.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
+    return read_meshes.world_parts(bpy.context.evaluated_depsgraph_get(), objects)
 
 
 def triangles_of(*objects):
@@ -56,7 +56,7 @@ def triangles_of(*objects):
 
 
 def faces_of(triangles, closed=False):
-    """`Faces` of triangles that no object has."""
+    """Stands in for the `Faces` of an object with these triangles."""
     return SimpleNamespace(triangles=triangles, closed=np.full(len(triangles), closed))
 
 
@@ -130,11 +130,11 @@ class TestWorldParts:
         assert triangles.min(axis=(0, 1)) == pytest.approx([4, -1, -1])
         assert triangles.max(axis=(0, 1)) == pytest.approx([10, 1, 1])
 
-    def test_only_what_was_asked_for(self):
+    def test_only_the_chosen_objects(self):
         cube, _other = add_cube("a"), add_cube("b")
         assert {part.object for part in parts_of(cube)} == {cube}
 
-    def test_own_mesh_and_its_instances_are_told_apart(self):
+    def test_a_mesh_and_its_instances_are_separate_parts(self):
         parent = add_cube("parent", Matrix.Scale(4, 4))
         parent.instance_type = "VERTS"
         child = add_object(parent.data, "child")
@@ -160,7 +160,7 @@ class TestWorldParts:
         assert [first.material, second.material] == materials
         assert [part.faces.area for part in (first, second)] == pytest.approx([0.5, 4.5])
 
-    def test_material_of_the_object_wins_over_that_of_the_mesh(self):
+    def test_material_of_the_object_overrides_that_of_the_mesh(self):
         cube = add_cube()
         cube.data.materials.append(bpy.data.materials.new("mesh's"))
         cube.material_slots[0].link = "OBJECT"
@@ -260,17 +260,17 @@ class TestWorldParts:
         geometry_nodes(ob, leaves)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         start = time.perf_counter()
-        (part,) = meshes.world_parts(depsgraph, [ob])
+        (part,) = read_meshes.world_parts(depsgraph, [ob])
         assert len(part.faces.triangles) == 200_000
         assert time.perf_counter() - start < 10
 
     def test_object_without_faces(self):
         assert parts_of(add_object(add_mesh([(0, 0, 0), (1, 0, 0)], []))) == []
         with pytest.raises(SceneError, match="no faces"):
-            voxelize.world_bounds([])
+            meshes.world_bounds([])
 
     def test_bounds(self):
-        lower, upper = voxelize.world_bounds(
+        lower, upper = meshes.world_bounds(
             [part.faces for part in parts_of(add_cube(matrix=Matrix.Scale(4, 4)))]
         )
         assert (*lower, *upper) == pytest.approx((-2, -2, -2, 2, 2, 2))
@@ -285,7 +285,7 @@ class TestSurfaceArea:
         area = voxelize.surface_area(triangles, domain_of(triangles, resolution))
         assert area.sum() == pytest.approx(area_of(triangles), rel=1e-3)
 
-    def test_large_triangles_lie_where_they_are(self):
+    def test_large_triangles_have_the_exact_moments(self):
         """A flat square, tilted, against its exact centroid and second moments."""
         square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
         turn = np.array(Euler((0.5, 0.3, 0.7)).to_matrix())
@@ -297,12 +297,12 @@ class TestSurfaceArea:
         assert np.abs(centroid - 0.123).max() < 0.02 * domain.voxel_size
         moments = np.einsum("xyz,xyzi,xyzj->ij", area, centers - 0.123, centers - 0.123)
         exact = turn @ np.diag([4 / 3, 4 / 3, 0]) @ turn.T
-        # Voxel centres stand for the points in their voxel, which adds h^2/12 on the diagonal.
+        # The voxel centres replace the points in each voxel, which adds h^2/12 on the diagonal.
         exact += np.eye(3) * 4 * domain.voxel_size**2 / 12
         assert moments == pytest.approx(exact, abs=3e-3)
 
-    def test_each_voxel_has_its_own_share(self):
-        """A plane along the lattice covers each voxel with one face, as well as samples tell."""
+    def test_area_of_each_voxel_along_a_plane(self):
+        """A plane along the lattice has the same area in each voxel, within the sampling error."""
         square = np.array([[0, 0, 3.4], [8, 0, 3.4], [8, 8, 3.4], [0, 8, 3.4]])
         triangles = square[[[0, 1, 2], [0, 2, 3]]]
         area = voxelize.surface_area(triangles, Domain((0, 0, 0), 1.0, (8, 8, 8)))
@@ -317,7 +317,7 @@ class TestSurfaceArea:
         assert np.count_nonzero(area) == 1
 
     def test_outside_is_dropped(self):
-        """The half of a huge square that lies in the domain."""
+        """Only half of the square lies in the domain."""
         far = np.array([[0, -1e4, 0.5], [1e4, 0, 0.5], [0, 1e4, 0.5]])
         domain = Domain((-2, -2, 0), 0.125, (32, 32, 8))
         area = voxelize.surface_area(far[None], domain)
@@ -329,7 +329,7 @@ class TestSurfaceArea:
         assert not voxelize.surface_area(np.empty((0, 3, 3)), domain).any()
 
     def test_weights_multiply_the_area(self):
-        """Of triangles of all sizes, so that large ones are divided, and keep theirs."""
+        """For triangles of all sizes: large triangles are cut, and their pieces keep the weight."""
         random = np.random.default_rng(2)
         triangles = np.concatenate([random.normal(0, s, (20, 3, 3)) for s in (0.1, 1, 4)])
         weight = random.uniform(size=60)
@@ -338,17 +338,17 @@ class TestSurfaceArea:
         each = [area_of(triangle[None]) for triangle in triangles]
         assert area.sum() == pytest.approx(weight @ each, rel=1e-3)
 
-    def test_each_voxel_has_what_exact_clipping_gives_it(self):
-        """Of triangles smaller and larger than a voxel, some of them across the border."""
+    def test_area_of_each_voxel_is_that_of_exact_clipping(self):
+        """For triangles smaller and larger than a voxel, some of them across the border."""
         triangles = (
             np.random.default_rng(3).uniform(-1, 1, (40, 3, 3))
             * np.repeat([0.5, 4], 20)[:, None, None]
         )
         domain = Domain((-3.5, -2.5, -4.5), 1.0, (7, 5, 9))
         exact = sum(clipped_area(triangle, domain) for triangle in triangles)
-        found = voxelize.surface_area(triangles, domain)
-        assert found.shape == domain.shape
-        assert np.linalg.norm(found - exact) < 0.08 * np.linalg.norm(exact)
+        area = voxelize.surface_area(triangles, domain)
+        assert area.shape == domain.shape
+        assert np.linalg.norm(area - exact) < 0.08 * np.linalg.norm(exact)
         finer = voxelize.surface_area(triangles, domain, samples=32)
         assert np.linalg.norm(finer - exact) < 0.005 * np.linalg.norm(exact)
 
@@ -418,8 +418,8 @@ class TestClosed:
         assert part.faces.closed.shape == part.faces.triangles.shape[:1]
         assert np.all(part.faces.closed == closed)
 
-    def test_many_small_holes_are_no_large_one(self):
-        """As where the branches of a tree are stuck on: a hundredth of the faces is missing."""
+    def test_many_small_holes_do_not_add_up(self):
+        """As at the branches of a tree: a hundredth of the faces is missing."""
         ball = add_sphere(5).data
         shape = bmesh.new()
         shape.from_mesh(ball)
@@ -428,7 +428,7 @@ class TestClosed:
         (part,) = parts_of(bpy.context.object)
         assert part.faces.closed.all()
 
-    def test_each_piece_of_a_mesh_is_told_apart_wherever_it_is_instanced(self):
+    def test_each_piece_of_an_instanced_mesh_is_closed_or_open(self):
         parent = add_object(add_mesh([(0, 0, 0), (9, 0, 0)], []), "parent")
         parent.instance_type = "VERTS"
         cube, leaf = add_cube(), add_mesh([(5, 0, 0), (6, 0, 0), (5, 1, 0)], [(0, 1, 2)])
@@ -450,20 +450,20 @@ class TestFoliageDensity:
         density = voxelize.foliage_density(faces_of(leaf[None]), self.DOMAIN)
         assert density[2, 2, 2] == pytest.approx(0.005 / 0.125 / 2)
 
-    def test_of_a_closed_body_is_what_it_shows_on_average(self):
-        """S/4 for any convex body (Cauchy)."""
+    def test_a_closed_body_has_its_mean_projected_area(self):
+        """It is S/4 for any convex body (Cauchy)."""
         sphere = 0.1 * triangles_of(add_sphere()) + 0.25
         density = voxelize.foliage_density(faces_of(sphere, closed=True), self.DOMAIN)
         assert density[2, 2, 2] == pytest.approx(np.pi * 0.1**2 / 0.125, rel=0.01)
 
     @pytest.mark.parametrize("closed", [True, False])
-    def test_towards_a_light_is_the_projected_area(self, closed):
+    def test_towards_a_light_it_is_the_projected_area(self, closed):
         tilted = turned(0.2 * square() + 0.1, (0.6, 0, 0))
         density = voxelize.foliage_density(faces_of(tilted, closed), self.DOMAIN, (0, 0, -1))
         shown = 0.4**2 * np.cos(0.6) / (2 if closed else 1)
         assert density.sum() * 0.125 == pytest.approx(shown, rel=1e-3)
 
-    def test_towards_all_lights_in_turn_is_the_mean(self):
+    def test_the_mean_over_all_directions(self):
         tilted = turned(0.3 * square(), (0.6, 0.2, 0))
         height = (np.arange(1000) + 0.5) / 500 - 1  # a spiral around the sphere
         turn, radius = 2.399963 * np.arange(1000), np.sqrt(1 - height**2)
@@ -498,7 +498,7 @@ class TestOpaqueShare:
         through = (1 - share.astype(float)).prod(axis=2)[5:11, 5:11]
         assert through.mean() < 0.06
 
-    def test_a_small_sheet_stops_what_it_shows_to_light_that_faces_it(self):
+    def test_a_small_sheet_stops_its_area(self):
         assert self.share(0.25 * square() + 0.5)[8, 8, 8] == pytest.approx(0.25, rel=1e-3)
 
     def test_a_body_is_full_inside(self):
@@ -507,15 +507,15 @@ class TestOpaqueShare:
         assert share[2, 8, 8] == share[13, 13, 8] == 0
 
     @pytest.mark.parametrize("radius", [0.05, 0.1])
-    def test_a_thin_body_stops_what_it_shows_on_average(self, radius):
-        """S/4 of a rod, of the 3/2 that a voxel shows."""
+    def test_a_thin_body_stops_its_mean_projected_area(self, radius):
+        """S/4 for a rod, of 3/2 for a voxel."""
         bpy.ops.mesh.primitive_cylinder_add(radius=radius, depth=10)
         rod = turned(triangles_of(bpy.context.object), (0.4, 0.3, 0.2)) + 0.3
         stopped = self.share(rod, closed=True).sum() * 1.5 / (2 * np.pi * radius * 10 / 4)
-        assert 0.99 < stopped < 1.1  # more where one of its points happens to lie inside
+        assert 0.99 < stopped < 1.1  # more if a sample point lies inside
 
-    def test_walls_of_what_has_no_inside_stop_light_themselves(self):
-        """A pipe that is wide, and open at both ends."""
+    def test_the_walls_of_an_open_body_stop_light(self):
+        """A wide pipe, open at both ends."""
         bpy.ops.mesh.primitive_cylinder_add(radius=8.3, depth=20, end_fill_type="NOTHING")
         pipe = triangles_of(bpy.context.object) + 0.1
         domain = Domain((-16, -16, -16), 1.0, (32, 32, 32))
@@ -533,7 +533,7 @@ class TestSolidFraction:
             ob.matrix_world = ROTATED_SCALED
             triangles = triangles_of(ob)
             domain = domain_of(triangles)
-            fraction = voxelize.solid_fraction(triangles, domain)
+            fraction = enclosure.solid_fraction(triangles, domain)
             volume = fraction.sum() * domain.voxel_size**3
             assert volume == pytest.approx(volume_of(triangles), rel=1e-2)
             assert (fraction.min(), fraction.max()) == (0, 1)
@@ -545,14 +545,14 @@ class TestSolidFraction:
         domain = Domain((0, 0, 0), 1.0, (9, 9, 9))
         triangles = triangles_of(add_cube(matrix=Matrix.Translation((4.5,) * 3)))
         corners = (triangles - 4.5) * 5.4 + 4.5  # from 1.8 to 7.2
-        fraction = voxelize.solid_fraction(corners, domain)
+        fraction = enclosure.solid_fraction(corners, domain)
         profile = fraction[:, 4, 4]
         assert profile == pytest.approx([0, 0.2, 1, 1, 1, 1, 1, 0.2, 0], abs=1e-3)
 
     @pytest.mark.parametrize("removed", [1, 20])
     def test_small_holes_are_closed(self, removed):
         triangles = triangles_of(add_sphere())
-        fraction = voxelize.solid_fraction(triangles[removed:], domain := domain_of(triangles, 64))
+        fraction = enclosure.solid_fraction(triangles[removed:], domain := domain_of(triangles, 64))
         assert fraction.sum() * domain.voxel_size**3 == pytest.approx(4 / 3 * pi, rel=0.1)
 
     def test_overlapping_shells_count_once(self):
@@ -560,31 +560,31 @@ class TestSolidFraction:
         both = np.concatenate([ball, ball + np.array([0.5, 0, 0])])
         domain = domain_of(both, 48)
         lens = pi * (4 + 0.5) * (2 - 0.5) ** 2 / 12
-        volume = voxelize.solid_fraction(both, domain).sum() * domain.voxel_size**3
+        volume = enclosure.solid_fraction(both, domain).sum() * domain.voxel_size**3
         assert volume == pytest.approx(2 * 4 / 3 * pi - lens, rel=0.02)
 
     def test_open_shells_that_meet(self):
-        """A leaking hemisphere beside a tight ball is not taken for the whole."""
+        """The ball alone is not enough, if the hemisphere beside it leaks."""
         ball = triangles_of(add_sphere())
         bowl = ball[ball[..., 2].max(axis=1) < 0.98]
         small = ball * 0.2 + np.array([1.3, 0, 0])
         domain = domain_of(np.concatenate([bowl, small]), 24)
-        volume = voxelize.solid_fraction(np.concatenate([bowl, small]), domain).sum()
+        volume = enclosure.solid_fraction(np.concatenate([bowl, small]), domain).sum()
         assert volume * domain.voxel_size**3 == pytest.approx(4.1, rel=0.15)
 
     def test_open_mesh_is_refused(self):
         cube = triangles_of(add_cube())
         corner = cube[(cube.max(axis=1) == cube.min(axis=1)).any(axis=1)][:4]
         with pytest.raises(SceneError, match=r"^The mesh is not closed, or .* foliage instead\.$"):
-            voxelize.solid_fraction(corner, domain_of(cube))
+            enclosure.solid_fraction(corner, domain_of(cube))
 
     @pytest.mark.parametrize("turn", [(0, 0, 0), (0.4, 0.9, -0.3)])
     def test_flat_mesh_is_refused(self, turn):
         matrix = Euler(turn).to_matrix().to_4x4() @ Matrix.Diagonal((1, 1, 0, 1))
         triangles = triangles_of(add_cube(matrix=matrix))
         with pytest.raises(SceneError, match=r"^The mesh is flat; give it a thickness"):
-            voxelize.solid_fraction(triangles, domain_of(triangles))
+            enclosure.solid_fraction(triangles, domain_of(triangles))
 
     def test_outside_of_the_domain(self):
         domain = Domain((10, 10, 10), 0.5, (4, 4, 4))
-        assert not voxelize.solid_fraction(triangles_of(add_cube()), domain).any()
+        assert not enclosure.solid_fraction(triangles_of(add_cube()), domain).any()

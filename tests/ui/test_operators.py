@@ -12,7 +12,7 @@ import pytest
 from lb_lighting import bake, job
 from lb_lighting.options import FOLIAGE, MODES, Options
 from lb_lighting.output.volume import baked_path, baked_volumes
-from lb_lighting.scene.reader import CUSTOM, FROM_MATERIAL
+from lb_lighting.scene.medium_choice import CUSTOM, FROM_MATERIAL
 from lb_lighting.transport.medium import PRESETS
 from lb_lighting.transport.solver import MODELS, Settings
 from lb_lighting.ui import preferences, properties, running

@@ -11,11 +11,11 @@ import numpy as np
 from ...arrays import Floats
 from ...ours import is_ours
 from ...transport.lights.lamps import AreaLight, PointLight
-from ..meshes import Mesh, read_mesh
+from ..meshes import Faces, Mesh
 from ..nodes.shaders import Closure
+from ..read_meshes import read_mesh
 from ..remarks import Remarks, listed
 from ..rendered import rendered_objects, world_matrix
-from ..voxelize import Faces
 from .light_nodes import LightShader, or_else
 from .mesh_lights import Emitter, lamps_of
 from .receivers import Receivers

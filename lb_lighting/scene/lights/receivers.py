@@ -13,7 +13,7 @@ from ...arrays import Array, Floats, Vector
 from ..materials import has_volume
 from ..remarks import Remarks
 from ..sources import Source
-from ..surface_sources import FoliageSource, OccluderSource, SolidSource
+from ..surface_sources import SurfaceSource
 
 if TYPE_CHECKING:
     import bpy
@@ -165,7 +165,7 @@ def placed_boxes(lower: Array, upper: Array, matrices: Array | Sequence[Any]) ->
 
 def _outline(ob: bpy.types.Object, source: Source, depsgraph: bpy.types.Depsgraph) -> Floats:
     """(k, 2, 3) m: bounding boxes of a source, quick to compute and at times too large."""
-    if isinstance(source, (FoliageSource, SolidSource, OccluderSource)) and source.faces:
+    if isinstance(source, SurfaceSource) and source.faces:
         return np.concatenate([_box_of(part.mesh.points, part.matrices) for part in source.faces])
     evaluated = ob.evaluated_get(depsgraph)
     return _box_of(np.array(evaluated.bound_box), [evaluated.matrix_world])

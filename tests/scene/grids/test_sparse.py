@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Grids as files have them: sparse, with strays and odd values; read block by block."""
+"""Grids as in real files: sparse, with stray voxels and invalid values."""
 
 import pickle
 import tracemalloc
@@ -16,8 +16,9 @@ from lb_lighting.scene import volumes
 from lb_lighting.scene.emission import Glow, shining
 from lb_lighting.scene.grids.resample import Cells, translation
 from lb_lighting.scene.grids.sparse import Matter, SparseCells
+from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
-from lb_lighting.scene.reader import FROM_MATERIAL, Reader
+from lb_lighting.scene.reader import Reader
 from lb_lighting.transport.medium import Domain
 from tests import scenery
 from tests.scenery import bake_light, read_grid
@@ -29,13 +30,13 @@ STRAY = "has voxels far from the others that are too thin to be seen"
 
 @pytest.fixture
 def scene(scene):
-    """With few voxels: these tests are not about the light."""
+    """A scene with few voxels, because these tests do not check the light."""
     scene.lb_lighting.resolution = 8
     return scene
 
 
 def puff(size=24):
-    """(size, size, size): density that fades to 0 at the faces of the grid."""
+    """(size, size, size): density that decreases to 0 at the faces of the grid."""
     axis = (np.arange(size) + 0.5) / size * 2 - 1
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     return ((1 - x**2) * (1 - y**2) * (1 - z**2)).astype(np.float32)
@@ -59,7 +60,7 @@ def scatter(places, size=16, seed=0):
 
 
 def dense(grid, matrix, domain):
-    """The same as `Cells`, of the voxels that `domain` needs."""
+    """The same as `Cells`, with the voxels that `domain` needs."""
     cells = volumes.cells_of(grid, matrix)
     lower, upper = cells.near(domain)
     values = np.empty(upper - lower, np.float32)
@@ -78,7 +79,7 @@ def add_volume(folder, *grids, material=True, name="fog"):
 
 
 def read(ob, medium=FROM_MATERIAL, grid=""):
-    """(the source that `ob` is, its notes)."""
+    """(the source of `ob`, its notes)."""
     reader = Reader(bpy.context.evaluated_depsgraph_get(), medium, 30.0, grid)
     (source,) = open_sources([ob], reader)
     return source, reader.notes
@@ -93,7 +94,7 @@ class TestBlocks:
 
     @pytest.mark.parametrize("matrix", [Matrix.Identity(4), TURNED], ids=["straight", "turned"])
     @pytest.mark.parametrize("resolution", [12, 50])
-    def test_the_lattice_gets_what_a_dense_grid_gives_it(self, matrix, resolution):
+    def test_the_result_is_that_of_a_dense_grid(self, matrix, resolution):
         grid = scatter(self.PLACES)
         grid.fill((-40, -40, 70), (80, 80, 80), 0.3)  # leaves large tiles
         lower, upper = volumes.world_bounds(grid, matrix)
@@ -102,45 +103,45 @@ class TestBlocks:
             Domain.around(lower + (upper - lower) / 3, upper, resolution),
         ]
         for domain in domains:
-            found = volumes.resample(grid, matrix, domain)
-            assert found.any()
-            assert found == pytest.approx(
+            resampled = volumes.resample(grid, matrix, domain)
+            assert resampled.any()
+            assert resampled == pytest.approx(
                 dense(grid, matrix, domain).on(domain), rel=1e-5, abs=1e-6
             )
 
-    def test_memory_goes_by_the_lattice(self):
+    def test_memory_depends_on_the_lattice(self):
         """The box of the grid alone is 12 GB."""
         grid = scatter([(0, 0, 0), (1484, 1484, 1484), *self.PLACES * 5 + 700])
         domain = Domain.around(*volumes.world_bounds(grid, np.eye(4)), 32, 1)
         tracemalloc.start()
         try:
-            found = volumes.resample(grid, np.eye(4), domain)
+            resampled = volumes.resample(grid, np.eye(4), domain)
             Matter.of(volumes.cells_of(grid, np.eye(4)))
             _now, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
         assert peak < 32e6
-        mass = found.sum() * domain.voxel_size**3
+        mass = resampled.sum() * domain.voxel_size**3
         assert mass == pytest.approx(0.75 * grid.activeVoxelCount() * (2 / 24) ** 3, rel=0.01)
 
-    def test_lattices_that_are_far_coarser(self):
-        """Where a block of the grid lies within one voxel, or across two."""
+    def test_much_coarser_lattices(self):
+        """A block of the grid lies within one voxel, or across two."""
         grid = scatter([(0, 0, 0), (70, 0, 0)])
         for shift in (0, 0.3):
             domain = Domain((-1000 * (1 + shift),) * 3, 1000, (3, 3, 3))
-            found = volumes.resample(grid, np.eye(4), domain)
-            mass = found.sum() * domain.voxel_size**3
+            resampled = volumes.resample(grid, np.eye(4), domain)
+            mass = resampled.sum() * domain.voxel_size**3
             assert mass == pytest.approx(0.75 * 2 * 16**3 * (2 / 24) ** 3, rel=0.01)
 
-    def test_voxels_that_are_millions_apart(self):
+    def test_voxels_millions_apart(self):
         grid = scatter([(0, 0, 0), (9_000_000, -9_000_000, 0)])
         matter = Matter.of(volumes.cells_of(grid, np.eye(4)))
         assert len(matter.bricks) == 16
         assert matter.mean.sum() == pytest.approx(16 * 0.75, rel=0.01)
 
     @pytest.mark.parametrize("fine", [False, True])
-    def test_what_glows_by_another_grid(self, fine):
-        """Its values are found where they are, by the same lattice or by another one."""
+    def test_emission_by_another_grid(self, fine):
+        """The other grid has the same lattice, or a finer one."""
         flame, other = scatter(self.PLACES), scatter(self.PLACES + 3, 24, seed=1)
         if fine:
             other = make_grid()
@@ -154,14 +155,14 @@ class TestBlocks:
             def radiance(self, values):
                 return np.multiply.outer(values["flame"] * values["other"], self.color)
 
-        found = []
+        radiances = []
         for cells in (volumes.cells_of, partial(dense, domain=domain)):
             grids = {"flame": cells(flame, TURNED), "other": cells(other, TURNED)}
-            found.append(shining([Product((1, 2, 3))], grids, grids["flame"], domain))
-        assert found[0].any()
-        assert found[0] == pytest.approx(found[1], rel=1e-4, abs=1e-5)
+            radiances.append(shining([Product((1, 2, 3))], grids, grids["flame"], domain))
+        assert radiances[0].any()
+        assert radiances[0] == pytest.approx(radiances[1], rel=1e-4, abs=1e-5)
 
-    def test_what_crosses_to_the_solver_is_the_path(self, tmp_path):
+    def test_only_the_path_crosses_to_the_solver(self, tmp_path):
         source, _notes = read(add_volume(tmp_path, scatter(self.PLACES, 32)))
         assert len(pickle.dumps(source.grid)) < 1000
 
@@ -179,7 +180,7 @@ class TestKinds:
         ],
         ids=lambda kind: getattr(kind, "__name__", None),
     )
-    def test_numbers_of_every_kind_are_density(self, tmp_path, kind, value):
+    def test_every_type_of_number_is_density(self, tmp_path, kind, value):
         grid = make_grid(kind=kind)
         grid.fill((0, 0, 0), (5, 5, 5), value)
         source, notes = read(add_volume(tmp_path, grid))
@@ -206,7 +207,7 @@ class TestValues:
     @pytest.mark.parametrize(
         ("value", "what"), [(-3, "negative"), (np.nan, "not finite"), (np.inf, "not finite")]
     )
-    def test_what_is_no_density_counts_as_0(self, tmp_path, value, what):
+    def test_invalid_values_count_as_0(self, tmp_path, value, what):
         grid, zero = make_grid(puff()), puff()
         zero[3, 3, 3:5] = 0
         for voxel in ((3, 3, 3), (3, 3, 4)):  # copyFromArray would drop NaN
@@ -214,8 +215,8 @@ class TestValues:
         source, notes = read(add_volume(tmp_path, grid))
         (share,) = source.shares(self.DOMAIN)
         assert share.density == pytest.approx(zero, abs=1e-6)
-        told = f"The grid 'density' of 'fog' has 2 voxels that are {what}; that counts as 0."
-        assert notes == [told]
+        note = f"The grid 'density' of 'fog' has 2 voxels that are {what}; this counts as 0."
+        assert notes == [note]
 
     def test_a_level_set_is_fog_inside(self, tmp_path):
         ball = openvdb.createLevelSetSphere(1.0, center=(0.3, 0, 0), voxelSize=0.05)
@@ -228,20 +229,20 @@ class TestValues:
         radius = np.linalg.norm(centers, axis=-1)
         assert share.density[radius < 0.75].min() == pytest.approx(1)
         assert share.density[radius > 1.12].max() == 0
-        told = "The grid 'density' of 'fog' is a level set; what it encloses is lit as fog of"
-        assert [note.startswith(told) for note in notes] == [True]
+        beginning = "The grid 'density' of 'fog' is a level set; its inside is lit as fog of"
+        assert [note.startswith(beginning) for note in notes] == [True]
 
-    def test_what_a_grid_has_where_it_is_empty_counts_as_0(self, tmp_path):
+    def test_the_background_counts_as_0(self, tmp_path):
         grid = make_grid(background=0.25)
         grid.copyFromArray(np.full((8, 8, 8), 2, np.float32))
         grid.copyFromArray(np.full((8, 8, 8), 2, np.float32), ijk=(16, 16, 16))
         source, notes = read(add_volume(tmp_path, grid))
         (share,) = source.shares(self.DOMAIN)
         assert set(np.unique(np.round(share.density, 5))) == {0, 2}
-        told = "The grid 'density' of 'fog' has the value 0.25 where it is empty; that counts as 0."
-        assert notes == [told]
+        note = "The grid 'density' of 'fog' has the value 0.25 where it is empty; this counts as 0."
+        assert notes == [note]
 
-    def test_no_density_at_all_is_left_out(self, scene, tmp_path):
+    def test_a_grid_without_density_is_left_out(self, scene, tmp_path):
         nothing, leaves = add_volume(tmp_path, make_grid(-puff())), scenery.add_leaves()
         with pytest.raises(SceneError, match="'density' of 'fog' has no values over 0 to light"):
             bake_light(nothing)
@@ -250,7 +251,7 @@ class TestValues:
         assert not nothing.hide_viewport
 
     @pytest.mark.parametrize("value", [np.nan, -1])
-    def test_a_bake_tells_and_shows_it(self, scene, tmp_path, value):
+    def test_a_bake_notes_and_shows_it(self, scene, tmp_path, value):
         values = scenery.ball()
         values[3, 3, 3] = value
         outcome = bake_light(scenery.add_fog(tmp_path, values))
@@ -261,7 +262,7 @@ class TestValues:
 
 
 class TestStrays:
-    """What cannot be seen does not make the voxels large."""
+    """Invisible matter does not set the voxel size."""
 
     def add(self, folder, *strays, values=None, far=500, **options):
         grid = make_grid(puff() if values is None else values)
@@ -278,12 +279,12 @@ class TestStrays:
         assert notes[0].startswith("'fog' has voxels far")
 
     @pytest.mark.parametrize("medium", ["cloud", FROM_MATERIAL])
-    def test_of_a_preset_too(self, tmp_path, medium):
+    def test_strays_with_a_preset(self, tmp_path, medium):
         source, _notes = read(self.add(tmp_path, 1e-6, 1e-6), medium=medium)
         assert size_of(source) == pytest.approx((24, 24, 24))
 
     def test_dust_all_around_is_left_out(self, tmp_path):
-        """In sum it is a tenth of the density, but light never meets much of it."""
+        """It is a tenth of all density, but no ray meets much of it."""
         values = np.full((240, 240, 240), 2e-6, np.float32)
         values[108:132, 108:132, 108:132] = puff()
         source, notes = read(self.add(tmp_path, values=values))
@@ -298,7 +299,7 @@ class TestStrays:
             assert notes == []
 
     def test_a_veil_beside_dense_fog_stays(self, tmp_path):
-        """Its optical depth is 1/10, that of the fog some 1000."""
+        """The veil has an optical depth of 1/10, the fog of about 1000."""
         values = np.full((100, 20, 20), 0.1 * 12 / 20 / 4, np.float32)
         values[:20] = 1000 * 12 / 20 / 4
         source, notes = read(self.add(tmp_path, values=values))
@@ -320,8 +321,8 @@ class TestStrays:
         assert np.all(size_of(source) > 90)
         assert "reads no grid" in note
 
-    def test_what_shines_is_not_left_out(self, tmp_path):
-        """Not even where there is no density."""
+    def test_emission_is_not_left_out(self, tmp_path):
+        """Not even without density."""
         flame = make_grid(name="flame")
         flame.copyFromArray(np.full((8, 8, 8), 1, np.float32), ijk=(104, 0, 0))
         stray = make_grid(puff())
@@ -337,7 +338,7 @@ class TestStrays:
         domain = Domain.around(*source.bounds, 56)
         assert source.emission(domain)[0].max() == pytest.approx(1, abs=0.1)
 
-    def test_an_edge_that_fades_is_not_worth_a_note(self, tmp_path):
+    def test_a_soft_edge_is_not_noted(self, tmp_path):
         values = np.full((100, 24, 24), 1e-7, np.float32)
         values[5:95] = 0.5
         source, notes = read(self.add(tmp_path, values=values))
