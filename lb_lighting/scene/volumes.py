@@ -40,7 +40,7 @@ class Grid:
             ) from error
 
     @property
-    def essence(self):
+    def cache_key(self):
         """What the grid holds, wherever it lies."""
         if self.made is None:
             return self.name, content_of_file(self.path)
