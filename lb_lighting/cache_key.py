@@ -7,6 +7,7 @@ computed makes a sequence bake all its frames again.
 """
 
 import hashlib
+from collections.abc import Iterable
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -15,7 +16,6 @@ import numpy as np
 
 # Attributes that a result does not depend on, and `reader`, whose choices are in the options.
 _IGNORED = {"name", "instanced", "reader", "uid"}
-_VOXELS_PER_READ = 1 << 22  # of a grid
 
 
 @runtime_checkable
@@ -48,19 +48,11 @@ def _content_of_file(path: Path, _size: int, _time: int) -> str:
         return hashlib.file_digest(file, hashlib.blake2b).hexdigest()
 
 
-def content_of_grid(grid: Any) -> str:
-    """The key of the values of an openvdb grid in the box of its active voxels."""
+def content_of_blocks(blocks: Iterable[object]) -> str:
+    """The key of `blocks` in their order, for contents that are too large for the memory."""
     digest = _new_hash()
-    if grid.activeVoxelCount():
-        lower, upper = map(np.array, grid.evalActiveVoxelBoundingBox())
-        shape = upper - lower + 1
-        channels = (3,) if isinstance(grid.background, tuple) else ()
-        depth = max(1, _VOXELS_PER_READ // int(shape[1] * shape[2]))
-        _add(digest, (lower, upper))
-        for start in range(0, shape[0], depth):
-            slab = np.empty((min(depth, shape[0] - start), *shape[1:], *channels), np.float32)
-            grid.copyToArray(slab, (int(lower[0]) + start, int(lower[1]), int(lower[2])))
-            _add(digest, slab)
+    for block in blocks:
+        _add(digest, block)
     return digest.hexdigest()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import openvdb
 import pytest
 
 import lb_lighting
@@ -18,6 +19,7 @@ from lb_lighting.errors import EmptyError, SceneError
 from lb_lighting.output.modifier import has_modifier
 from lb_lighting.output.vdb import DENSITY_GRID, LIGHT_GRID, read_metadata, read_whole, unfinished
 from lb_lighting.output.volume import baked_path, baked_volumes
+from lb_lighting.scene.volumes import Grid
 from lb_lighting.sequence import REASONS, UNREADABLE, Sequence
 from lb_lighting.transport import PointLight, Sky, Sun
 from tests import scenery
@@ -203,6 +205,20 @@ def test_cache_keys_are_those_of_earlier_versions():
     assert cache_key(lights) == "c972eed024ba28ae0e8dfa01a2ccbeda"
     plain = {"a": {1, 2}, "b": (None, b"x", 1 + 2j, np.float32(0.1))}, np.arange(6.0), len
     assert cache_key(plain) == "dfa38b5a44a3f901f75fc8bef6ab435e"
+
+
+def test_a_grid_of_nodes_is_keyed_by_its_values_without_its_empty_space():
+    """Two voxels, 20000 voxels apart along each axis."""
+
+    def key(value, far=20_000):
+        grid = openvdb.FloatGrid()
+        for place, number in ((0, 1.0), (far, value)):
+            grid.getAccessor().setValueOn((place,) * 3, number)
+        return cache_key(Grid("density", made=grid))
+
+    assert key(0.5) == key(0.5)
+    assert len({key(0.5), key(0.25), key(0.5, 19_999)}) == 3
+    assert cache_key(Grid("density", made=openvdb.FloatGrid())) != key(0.5)
 
 
 def test_frames_without_smoke_are_empty_and_the_others_go_on(scene, smoke):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import openvdb
 
-from ..cache_key import content_of_file, content_of_grid
+from ..cache_key import content_of_blocks, content_of_file
 from ..errors import EmptyError, SceneError
 from .grids.sparse import SparseCells
 
@@ -44,7 +44,7 @@ class Grid:
         """What the grid holds, wherever it lies."""
         if self.made is None:
             return self.name, content_of_file(self.path)
-        return self.name, _index_to_object(self.made), content_of_grid(self.made)
+        return self.name, _index_to_object(self.made), content_of_blocks(_blocks(self.made))
 
 
 def grid_names(ob, depsgraph):
@@ -170,6 +170,14 @@ def _active_box(grid):
     if not grid.activeVoxelCount():
         raise EmptyError(f"The grid '{grid.name}' is empty; choose one with active voxels.")
     return tuple(map(np.array, grid.evalActiveVoxelBoundingBox()))
+
+
+def _blocks(grid):
+    """Yields the active box of `grid`, then (first voxel, values) of each block with any values."""
+    if grid.activeVoxelCount():
+        cells = cells_of(grid, np.eye(4))
+        yield cells.lower, cells.upper
+        yield from cells.blocks(cells.lower, cells.upper)
 
 
 def _index_to_object(grid):
