@@ -1,57 +1,60 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ties sources to their light, mended after all that users do to either.
+"""Repairs the ties between sources and their light after the user changed either.
 
-Users delete, copy, append, and undo that, and Blender copies our marks along with what bears them.
-`mend` looks at the file as it is now, whatever led there, so it may be called at any time; where
-nothing is to be mended it changes nothing.
+Users delete, copy and append objects, and undo all that; Blender copies our marks along with the
+objects. `mend` reads the file as it is now, however it got there, so it can be called at any time.
+It changes nothing where nothing is wrong.
 
-Undo is why a source whose light was deleted is marked and not forgotten: what changes between two
-undo steps is neither kept nor undone by Blender. When the light is back, the source hides again.
+A source whose light was deleted is marked, not forgotten, because of undo: Blender neither keeps
+nor undoes what changes between two undo steps. When the light is back, the source is hidden again.
 """
+
+from collections.abc import Iterable
 
 import bpy
 
-from .ours import TAG, is_ours, is_overridden
-from .output import shading_volumes
-from .output.volume import (
-    APPENDED,
+from .ours import TAG, has_mark, is_overridden
+from .output.sources import (
     IDENTITY,
     RESULT,
     RETURNED,
     forget,
+    hide_source,
     identify,
     is_lost,
+    is_source,
     scene_objects,
+    show_source,
 )
+from .output.volume import APPENDED, is_baked
 
 
-def mend():
+def mend() -> None:
     """Show sources whose light is gone, hide them when it is back, and leave copies to the user.
 
-    A copy of a baked volume is a Volume object like any other from then on; a copy of a source is
-    as the source was before its bake. Where both were copied together, they are a pair of their
-    own.
+    A copy of a baked volume becomes a Volume object like any other; a copy of a source becomes what
+    the source was before its bake. If both were copied together, they become a pair of their own.
     """
     tied = [ob for ob in bpy.data.objects if _is_tied(ob) and ob.is_editable]
     _leave_copies(tied)
-    sources = [ob for ob in tied if RESULT in ob]
+    sources = [ob for ob in tied if is_source(ob)]
     scenes = scene_objects() if sources else []
     for source in sources:
         lost = is_lost(source, scenes)
         if lost and is_overridden(source, "hide_render"):
-            shading_volumes.show_source(source)
+            show_source(source)
             source[RETURNED] = True
-        elif not lost and RETURNED in source:
+        elif not lost and has_mark(source, RETURNED):
             del source[RETURNED]
-            shading_volumes.hide_source(source)
+            hide_source(source)
 
 
-def mend_appended(objects):
-    """`mend`, where `objects` came from another file: their light is on files of that one.
+def mend_appended(objects: Iterable[bpy.types.Object]) -> None:
+    """`mend` after `objects` were appended: the files of their light belong to another .blend.
 
-    A baked volume that came without its sources is a Volume object like any other.
+    A baked volume that came without its sources becomes a Volume object like any other.
     """
-    appended = [ob for ob in objects if _is_baked(ob) and ob.is_editable]
+    appended = [ob for ob in objects if is_baked(ob) and ob.is_editable]
     tied = _results(bpy.data.objects)
     for ob in appended:
         if ob in tied:
@@ -61,24 +64,22 @@ def mend_appended(objects):
     mend()
 
 
-def _is_tied(ob):
-    return RESULT in ob or _is_baked(ob)
+def _is_tied(ob: bpy.types.Object) -> bool:
+    return is_source(ob) or is_baked(ob)
 
 
-def _is_baked(ob):
-    return ob.type == "VOLUME" and is_ours(ob)
-
-
-def _results(objects):
+def _results(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Object]:
     """The baked volumes that `objects` point to."""
     return {ob[RESULT] for ob in objects if ob.get(RESULT)}
 
 
-def _leave_copies(tied):
-    """Take our marks off copies of the objects `tied`, unless a source and its light are one."""
-    originals, results = {}, _results(tied)
-    for ob in sorted(tied, key=lambda ob: ob.session_uid):  # the older ones come first
-        identify(ob)  # older files have none
+def _leave_copies(tied: list[bpy.types.Object]) -> None:
+    """Remove our marks from copies of the objects `tied`, except where a source and its light were
+    copied together."""
+    originals: dict[str, bpy.types.Object] = {}
+    results = _results(tied)
+    for ob in sorted(tied, key=lambda ob: ob.session_uid):  # originals before their copies
+        identify(ob)  # files of older versions lack identities
         original = originals.setdefault(ob[IDENTITY], ob)
         if original == ob:
             continue
@@ -88,10 +89,10 @@ def _leave_copies(tied):
             _leave(ob)
 
 
-def _leave(copy):
-    """The object `copy` is the user's."""
-    if RESULT in copy:
-        shading_volumes.show_source(copy)
+def _leave(copy: bpy.types.Object) -> None:
+    """Make the object `copy` the user's: remove our marks, and show it."""
+    if is_source(copy):
+        show_source(copy)
     copy.pop(TAG, None)
     copy.pop(APPENDED, None)
     forget(copy)

@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 
 from lb_lighting.output import shading_volumes, volume
+from lb_lighting.output.sources import hide_source
 from lb_lighting.output.vdb import write_vdb
 from lb_lighting.transport.medium import Domain
 
@@ -33,7 +34,7 @@ def light(*sources, folder, frames=None):
     ob = volume.show_volume(bpy.context, sources, path, frames)
     shading_volumes.shade_volume(ob, "REPLACE", 3.6, 0.4)
     for source in sources:
-        shading_volumes.hide_source(source)
+        hide_source(source)
     return ob
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from lb_lighting import bake, ties
 from lb_lighting.clearing import clear
-from lb_lighting.output.volume import APPENDED, RESULT, baked_path, baked_volumes, is_foreign
+from lb_lighting.output.sources import RESULT, is_lost, scene_objects
+from lb_lighting.output.volume import APPENDED, baked_path, baked_volumes, is_foreign
 from tests import scenery
 from tests.keeping import hidden, light
 from tests.scenery import bake_light, snapshot
@@ -342,6 +343,6 @@ def test_many_objects_take_no_time_that_is_felt(scene, tmp_path):
             looked[0] += 1
             return super().__contains__(item)
 
-    scenes = [Counted(objects) for objects in ties.scene_objects()]
-    assert not any(ties.is_lost(source, scenes) for source in sources)
+    scenes = [Counted(objects) for objects in scene_objects()]
+    assert not any(is_lost(source, scenes) for source in sources)
     assert looked[0] == 2 * len(sources)

@@ -117,7 +117,7 @@ def light_instances(ob, materials, strength=1.0, whole=False):
 
 
 def _is_whole(ob):
-    return attribute.is_whole(ob) or modifier.is_whole(ob)
+    return attribute.shows_all_light(ob) or modifier.is_whole(ob)
 
 
 def is_lit(ob):

@@ -5,7 +5,7 @@ import textwrap
 
 import bpy
 
-from ..output.shading_volumes import uses_light
+from ..output.render_settings import uses_light
 from ..scene.opening import SURFACE_TYPES
 from ..scene.reader import CUSTOM, FROM_MATERIAL
 from . import running

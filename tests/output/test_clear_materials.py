@@ -4,7 +4,7 @@
 import bpy
 import pytest
 
-from lb_lighting.output.shading_volumes import leave_light, use_light
+from lb_lighting.output.render_settings import leave_light, use_light
 from tests import scenery
 from tests.output.rendering import surface
 from tests.output.test_shading_volumes import lit_object, user_group

@@ -13,7 +13,7 @@ import openvdb
 import pytest
 from mathutils import Vector
 
-from lb_lighting.output.shading_volumes import restore_scene
+from lb_lighting.output.render_settings import restore_scene
 from tests import scenery
 from tests.output.rendering import dark_scene, render, silent_stdout
 from tests.scene.lights.test_lamps import add_environment, add_mapping

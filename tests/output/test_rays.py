@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lb_lighting.output.attribute import write_ambient
+from lb_lighting.output.render_settings import prepare_scene
 from lb_lighting.output.shading_surfaces import wire_ambient
-from lb_lighting.output.shading_volumes import prepare_scene, shade_volume
+from lb_lighting.output.shading_volumes import shade_volume
 from lb_lighting.output.vdb import write_vdb
 from lb_lighting.output.volume import show_volume
 from lb_lighting.transport.medium import Domain

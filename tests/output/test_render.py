@@ -7,8 +7,9 @@ import pytest
 from mathutils import Euler, Vector
 
 from lb_lighting.output.attribute import read_vertices, remove_ambient, write_ambient
+from lb_lighting.output.render_settings import prepare_scene
 from lb_lighting.output.shading_surfaces import wire_ambient
-from lb_lighting.output.shading_volumes import prepare_scene, shade_volume
+from lb_lighting.output.shading_volumes import shade_volume
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     direct_grid,

@@ -22,6 +22,7 @@ from lb_lighting.output.groups import (
     volume_group,
 )
 from lb_lighting.output.modifier import GRID_GROUP, grid_group
+from lb_lighting.output.render_settings import prepare_scene, restore_scene
 from lb_lighting.output.shading_surfaces import (
     hindrance,
     light_surface,
@@ -30,14 +31,8 @@ from lb_lighting.output.shading_surfaces import (
     unwire_unused,
     wire_ambient,
 )
-from lb_lighting.output.shading_volumes import (
-    hide_source,
-    prepare_scene,
-    remove_unused,
-    restore_scene,
-    shade_volume,
-    show_source,
-)
+from lb_lighting.output.shading_volumes import remove_unused, shade_volume
+from lb_lighting.output.sources import hide_source, show_source
 from lb_lighting.output.vdb import AXES
 from lb_lighting.output.volume import remove_baked, show_volume
 from lb_lighting.scene.materials import leaf_optics

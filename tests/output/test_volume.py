@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import OutputError
+from lb_lighting.output.sources import forget, lost_sources, sources_shown_by
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     LIGHT_GRID,
@@ -24,11 +25,8 @@ from lb_lighting.output.volume import (
     baked_volumes,
     default_folder,
     delete_baked_file,
-    forget,
-    lost_sources,
     remove_baked,
     show_volume,
-    sources_of,
 )
 from lb_lighting.transport.field import Field, Report, Scattered
 from lb_lighting.transport.lights.distant import Sky, Sun
@@ -357,7 +355,7 @@ def test_a_volume_that_joins_two_takes_the_place_of_both(tmp_path, domain, densi
     assert show_volume(bpy.context, [first, second], path) == kept
     assert baked_volumes(bpy.context.scene) == [kept]
     first.name = "renamed"
-    assert sources_of(bpy.context.scene, kept) == [first, second]
+    assert sources_shown_by(bpy.context.scene, kept) == [first, second]
 
 
 def test_only_our_files_are_deleted(tmp_path, domain, density, light):
