@@ -18,9 +18,9 @@ from ..output.vdb import (
     EMISSION_GRID,
     leftovers,
     new_token,
-    volume_light,
     write_vdb,
 )
+from ..output.volume_light import volume_light
 from ..scene.mixture import mixture, occluders, with_shadows
 from ..transport.device import troubles
 from ..transport.field import Report

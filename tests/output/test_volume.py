@@ -17,7 +17,6 @@ from lb_lighting.output.vdb import (
     direct_grid,
     flux_grid,
     read_metadata,
-    volume_light,
     write_vdb,
 )
 from lb_lighting.output.volume import (
@@ -28,6 +27,7 @@ from lb_lighting.output.volume import (
     remove_baked,
     show_volume,
 )
+from lb_lighting.output.volume_light import volume_light
 from lb_lighting.transport.field import Field, Report, Scattered
 from lb_lighting.transport.lights.distant import Sky, Sun
 from lb_lighting.transport.lights.lamps import PointLight
