@@ -8,9 +8,9 @@ from mathutils import Vector
 
 from lb_lighting import bake
 from lb_lighting.bake import Options
-from lb_lighting.output.groups import BEAM_GROUP, LAMP_GROUP
 from lb_lighting.output.sources import hide_source
 from lb_lighting.output.volume import baked_volumes
+from lb_lighting.output.volume_groups import BEAM_GROUP, LAMP_GROUP
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.output.rendering import dark_scene, render

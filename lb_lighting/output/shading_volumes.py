@@ -17,7 +17,11 @@ import bpy
 
 from ..arrays import Spectrum
 from ..ours import TAG, is_ours
-from .groups import (
+from .keys import remove_keys, set_values
+from .look import Bands, Beam, Look
+from .nodes import new_material
+from .vdb import AXES, direct_grid, forward_grid
+from .volume_groups import (
     BEAM_GROUP,
     MOMENTS_GROUP,
     VOLUME_GROUP,
@@ -26,10 +30,6 @@ from .groups import (
     moments_group,
     volume_group,
 )
-from .keys import remove_keys, set_values
-from .look import Bands, Beam, Look
-from .nodes import new_material
-from .vdb import AXES, direct_grid, forward_grid
 
 type Inputs = dict[str, float | Bands]  # {input: value} of one beam, see `Look.beams`
 

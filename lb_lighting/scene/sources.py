@@ -29,6 +29,7 @@ class Source:
     is_volume    whether a lit volume in its place shows its light
     shows_light  whether its surface shows its light
     is_foliage   whether it is surfaces that light passes between
+    lights_instances  whether a modifier of the object can light all that it instances
     is_body      whether that light is what comes out of it, not what falls on it
     is_wall      whether it stops all light
     glows        [Glow | BlackBody], see scene/emission.py
@@ -37,6 +38,7 @@ class Source:
     is_volume = False
     shows_light = False
     is_foliage = False
+    lights_instances = False
     is_body = False
     is_wall = False
     glows = ()

@@ -130,21 +130,21 @@ def switched_off(leaf):
     return material
 
 
-def picture(tmp_path, material, whole=False):
+def picture(tmp_path, material, all_light=False):
     """What a plane with `material` shows of LIGHT on its front and half of it on its back.
 
-    whole  whether that is all light; then there is a white sky, too"""
+    all_light  whether that is all light; then there is a white sky, too"""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = dark_scene((0, 0, 10), (0, 0, 0), width=1)
-    if whole:
+    if all_light:
         scene.world = bpy.data.worlds.new("sky")
         scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
     ob = plane(0, 2, material())
     values = np.ones((2, 4, 4), np.float32)
     values[..., :3] = LIGHT
     values[1, :, :3] /= 2
-    write_ambient([ob], values[None], whole)
-    wire_ambient(ob.active_material, whole=whole)
+    write_ambient([ob], values[None], all_light)
+    wire_ambient(ob.active_material, all_light=all_light)
     return render(scene, tmp_path / "a.exr", 48, 16)
 
 
@@ -164,7 +164,7 @@ def test_a_group_looks_as_its_closures_do(tmp_path, leaf):
 @pytest.mark.parametrize("way", WAYS)
 def test_where_a_group_shows_all_light_it_shows_none_of_the_skys_again(tmp_path, way):
     expected = picture(tmp_path, lambda: direct(mixed_leaf))
-    assert picture(tmp_path, lambda: way(mixed_leaf), whole=True) == pytest.approx(expected)
+    assert picture(tmp_path, lambda: way(mixed_leaf), all_light=True) == pytest.approx(expected)
 
 
 def test_holes_in_a_leaf_of_a_group_stay_holes(tmp_path):
@@ -222,12 +222,12 @@ def test_each_strength_has_its_own_copy(tmp_path):
     assert picture(tmp_path, first).mean(axis=(0, 1)) == pytest.approx(LIGHT, rel=0.01)
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("all_light", [False, True])
 @pytest.mark.parametrize("way", WAYS)
-def test_a_lit_group_is_still_read_as_the_same_leaf(way, whole):
+def test_a_lit_group_is_still_read_as_the_same_leaf(way, all_light):
     material = way(mixed_leaf)
     before = leaf_optics(material)
-    wire_ambient(material, whole=whole)
+    wire_ambient(material, all_light=all_light)
     assert leaf_optics(material) == before
     assert hindrance([material]) is None
 
@@ -338,7 +338,7 @@ def test_a_linked_group_is_lit_and_given_back(tmp_path):
 
 def test_where_the_users_group_is_gone_the_copy_becomes_the_users():
     material = nested(dark_leaf)
-    wire_ambient(material, whole=True)
+    wire_ambient(material, all_light=True)
     for name in ("Inner", "Outer"):
         bpy.data.node_groups.remove(bpy.data.node_groups[name])
     unwire_ambient(material)

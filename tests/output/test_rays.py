@@ -25,17 +25,17 @@ FROM_ABOVE = (0, 0, 10), (0, 0, 0)
 FRESNEL = 0.04
 
 
-def light(ob, whole=False):
+def light(ob, all_light=False):
     """Let `ob` show LIGHT on both sides."""
     values = np.ones((2, len(ob.data.vertices), 4), np.float32)
     values[..., :3] = LIGHT
-    write_ambient([ob], [values], whole)
-    wire_ambient(ob.active_material, whole=whole)
+    write_ambient([ob], [values], all_light)
+    wire_ambient(ob.active_material, all_light=all_light)
     return ob
 
 
-def leaf(z=0.0, whole=False):
-    return light(plane(z, 40, surface("ShaderNodeBsdfDiffuse", Color=(*COLOR, 1))), whole)
+def leaf(z=0.0, all_light=False):
+    return light(plane(z, 40, surface("ShaderNodeBsdfDiffuse", Color=(*COLOR, 1))), all_light)
 
 
 def principled(**inputs):
@@ -135,11 +135,11 @@ def test_all_light_stays_all_light_behind_glass_and_in_mirrors(tmp_path, way):
     background.inputs["Color"].default_value = (*SKY, 1)
     links.new(background.outputs[0], output.inputs["Surface"])
     if way == "mirror":
-        leaf(2, whole=True)
+        leaf(2, all_light=True)
         plane(0, 40, principled(**{"Base Color": WHITE, "Metallic": 1.0, "Roughness": 0.0}))
         expected = SEEN
     else:
-        leaf(0, whole=True)
+        leaf(0, all_light=True)
         expected = SEEN
     if way == "pane":
         plane(0.5, 4, surface("ShaderNodeBsdfGlass", Roughness=0.0, IOR=1.5, Color=WHITE))

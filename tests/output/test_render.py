@@ -364,15 +364,15 @@ def test_baked_volume_lies_on_its_source(tmp_path):
     assert found.mean() == pytest.approx(seen.mean(), rel=0.01)
 
 
-def light_plane(ob, radiance, flux=0.0, whole=False):
+def light_plane(ob, radiance, flux=0.0, all_light=False):
     """Ambient light of that mean radiance, (3,), and that flux upwards, W/m^2, on a plane."""
     fluence = 4 * np.pi * np.broadcast_to(np.reshape(radiance, (-1, 1, 1, 1)), (3, *BOX.shape))
     upwards = np.zeros((3, 3, *BOX.shape))
     upwards[:, 2] = flux
     field = Field(BOX, fluence, 0 * fluence, upwards, Report("physical", "none"))
     vertices = read_vertices(ob, bpy.context.evaluated_depsgraph_get())
-    write_ambient([ob], [vertices.light(field)], whole)
-    wire_ambient(ob.active_material, strength=2.0, whole=whole)
+    write_ambient([ob], [vertices.light(field)], all_light)
+    wire_ambient(ob.active_material, strength=2.0, all_light=all_light)
 
 
 def ambient_plane(radiance, material):
@@ -497,7 +497,7 @@ def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
     scene, (make, reflectance) = under_sky(width=1), REFLECTANCES[name]
     ob = plane(0, 2, make())
     before = render(scene, tmp_path / "a.exr", 16, 256)
-    light_plane(ob, LIGHT, whole=True)
+    light_plane(ob, LIGHT, all_light=True)
     lit = render(scene, tmp_path / "b.exr", 16, 4)
     assert middle(lit) == pytest.approx(2 * reflectance * LIGHT, rel=0.01)
     remove_ambient(ob)
@@ -508,7 +508,7 @@ def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
 
 def test_the_gloss_of_what_shows_all_light_stays(tmp_path):
     scene = under_sky(width=1)
-    light_plane(plane(0, 2, principled(1.0)), LIGHT, whole=True)
+    light_plane(plane(0, 2, principled(1.0)), LIGHT, all_light=True)
     gloss = middle(render(scene, tmp_path / "a.exr", 16, 256)) - 2 * COLOR * LIGHT
     # Fresnel's share at right angles is .04 at an index of refraction of 1.5.
     assert gloss == pytest.approx(0.04 * SKY, rel=0.25)

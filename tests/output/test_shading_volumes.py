@@ -9,19 +9,8 @@ import pytest
 from lb_lighting.errors import OutputError
 from lb_lighting.ours import is_ours
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE, write_ambient
-from lb_lighting.output.groups import (
-    AMBIENT_GROUP,
-    BEAM_GROUP,
-    MADE,
-    REST_GROUP,
-    VERSION,
-    VOLUME_GROUP,
-    ambient_group,
-    beam_group,
-    rest_group,
-    volume_group,
-)
-from lb_lighting.output.modifier import GRID_GROUP, grid_group
+from lb_lighting.output.grid_groups import GRID_GROUP, grid_group
+from lb_lighting.output.groups import MADE, VERSION
 from lb_lighting.output.render_settings import prepare_scene, restore_scene
 from lb_lighting.output.shading_surfaces import (
     hindrance,
@@ -33,8 +22,20 @@ from lb_lighting.output.shading_surfaces import (
 )
 from lb_lighting.output.shading_volumes import remove_unused, shade_volume
 from lb_lighting.output.sources import hide_source, show_source
+from lb_lighting.output.surface_groups import (
+    AMBIENT_GROUP,
+    REST_GROUP,
+    ambient_group,
+    rest_group,
+)
 from lb_lighting.output.vdb import AXES
 from lb_lighting.output.volume import remove_baked, show_volume
+from lb_lighting.output.volume_groups import (
+    BEAM_GROUP,
+    VOLUME_GROUP,
+    beam_group,
+    volume_group,
+)
 from lb_lighting.scene.materials import leaf_optics
 from tests.output.rendering import plane
 from tests.scenery import source
@@ -269,15 +270,15 @@ def behind(material, closure):
     )
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("all_light", [False, True])
 @pytest.mark.parametrize("graph", WIRED + LEFT_ALONE)
-def test_unwire_restores_the_graph_exactly(graph, whole):
+def test_unwire_restores_the_graph_exactly(graph, all_light):
     material = graph()
     before = dump(material)
-    wire_ambient(material, whole=whole)
+    wire_ambient(material, all_light=all_light)
     wired = dump(material)
     assert (wired == before) is (graph in LEFT_ALONE)
-    wire_ambient(material, whole=whole)
+    wire_ambient(material, all_light=all_light)
     assert dump(material) == wired
     unwire_ambient(material)
     assert dump(material) == before
@@ -399,7 +400,7 @@ def test_what_has_lost_its_closure_hinders_nothing():
 
 def test_a_colour_that_was_changed_meanwhile_stays():
     material = principled()
-    wire_ambient(material, whole=True)
+    wire_ambient(material, all_light=True)
     color = material.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
     color.links[0].from_node.inputs["Color"].default_value = (1, 0, 0, 1)
     unwire_ambient(material)
@@ -412,8 +413,8 @@ def test_what_another_object_shows_keeps_its_way(needed):
     material = principled()
     objects = [plane(z, 1, material) for z in (0, 1)]
     light = np.ones((2, 4, 4), np.float32)
-    write_ambient(objects[:1], [light], whole=needed)
-    wire_ambient(material, whole=True)
+    write_ambient(objects[:1], [light], all_light=needed)
+    wire_ambient(material, all_light=True)
     write_ambient(objects[1:], [light])
     wire_ambient(material)
     assert any(n.name.startswith(REST_GROUP) for n in material.node_tree.nodes) is needed
@@ -423,7 +424,7 @@ def test_groups_of_an_older_version_stay_linked():
     """Also in materials that are not wired anew, and in the group that holds another."""
     materials = principled(), mixed()
     for material in materials:
-        wire_ambient(material, whole=True)
+        wire_ambient(material, all_light=True)
     makers = ambient_group, beam_group, rest_group, volume_group, grid_group
     groups = [make() for make in makers]
 
@@ -440,12 +441,12 @@ def test_groups_of_an_older_version_stay_linked():
     assert seen() == before
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("all_light", [False, True])
 @pytest.mark.parametrize("graph", [principled, mixed, framed])
-def test_a_lit_leaf_is_still_read_as_the_same_leaf(graph, whole):
+def test_a_lit_leaf_is_still_read_as_the_same_leaf(graph, all_light):
     material = graph()
     before = leaf_optics(material)
-    wire_ambient(material, whole=whole)
+    wire_ambient(material, all_light=all_light)
     assert leaf_optics(material) == before
 
 
