@@ -29,6 +29,7 @@ from .output import (
 from .output.ambient import STAND_OFF
 from .output.render_settings import prepare_scene
 from .output.sources import hide_source, lost_sources, show_source, sources_shown_by
+from .output.ties import mend
 from .scene.frames import at_frame
 from .scene.grids.resample import box_bounds
 from .scene.lights.lamps import scene_lights
@@ -43,7 +44,6 @@ from .tasks.light import (
     Light,
     Lit,
 )
-from .ties import mend
 from .transport.lights.distant import Sky
 from .transport.medium import Optics
 

@@ -13,6 +13,7 @@ from .errors import OutputError
 from .output import attribute, modifier, shading_surfaces, shading_volumes
 from .output.render_settings import restore_scene
 from .output.sources import RESULT, forget, lost_sources, show_source, sources_shown_by
+from .output.ties import mend
 from .output.volume import (
     Frames,
     baked_path,
@@ -24,7 +25,6 @@ from .output.volume import (
     remove_unused,
     volume_path,
 )
-from .ties import mend
 
 
 class BakedFile(NamedTuple):

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever users do to a source or to its light: what is theirs stays, and nothing stays hidden."""
+"""Whatever users do to a source or its light, their objects stay, and none stays hidden."""
 
 import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake, ties
+from lb_lighting import bake
 from lb_lighting.clearing import clear
+from lb_lighting.output import ties
 from lb_lighting.output.sources import RESULT, is_lost, scene_objects
 from lb_lighting.output.volume import APPENDED, baked_path, baked_volumes, is_foreign
 from tests import scenery
@@ -21,7 +22,7 @@ def fog(scene, tmp_path):
 
 @pytest.fixture
 def baked(fog, tmp_path):
-    """The light of the fog, in a collection of its own; it is in an undo step."""
+    """The light of the fog, in its own collection and in an undo step."""
     ob = light(fog, folder=tmp_path)
     collection = bpy.data.collections.new("light")
     bpy.context.scene.collection.children.link(collection)
@@ -55,7 +56,7 @@ def move_to_another_scene(ob):
 
 
 def duplicate(*objects):
-    """Copies as the user makes them, in the order of their names."""
+    """Copies that the user made, in the order of their names."""
     scenery.select(*objects)
     bpy.ops.object.duplicate()
     bpy.context.view_layer.update()
@@ -237,7 +238,7 @@ class TestCopies:
         assert hidden(fog, copy) == [False, False]
 
     def test_source_and_light_copied_together_are_a_pair(self, fog, baked):
-        fog.hide_viewport = False  # as in the outliner, where hidden objects are copied, too
+        fog.hide_viewport = False  # as in the outliner, which also copies hidden objects
         bpy.context.view_layer.update()
         copied_light, copy = duplicate(fog, baked)
         copy.hide_viewport = fog.hide_viewport = True
@@ -333,7 +334,7 @@ class TestAppended:
 
 
 def test_many_objects_take_no_time_that_is_felt(scene, tmp_path):
-    """What is looked at grows with the objects, not with objects times sources."""
+    """The number of lookups grows with the objects, not with objects times sources."""
     sources = [scenery.source(f"leaf {n}") for n in range(30)]
     light(*sources, folder=tmp_path)
     looked = np.zeros(2, int)

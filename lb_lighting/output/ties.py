@@ -13,8 +13,8 @@ from collections.abc import Iterable
 
 import bpy
 
-from .ours import TAG, has_mark, is_overridden
-from .output.sources import (
+from ..ours import TAG, has_mark, is_overridden
+from .sources import (
     IDENTITY,
     RESULT,
     RETURNED,
@@ -26,7 +26,7 @@ from .output.sources import (
     scene_objects,
     show_source,
 )
-from .output.volume import APPENDED, is_baked
+from .volume import APPENDED, is_baked
 
 
 def mend() -> None:
