@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which files Clear deletes when asked to: ours, all of them, and none that is still shown."""
+"""The files that Clear deletes on request: all of ours, except those that are still shown."""
 
 import os
 import tempfile

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volumes that only shine, or only absorb, baked and held to Cycles."""
+"""Volumes that only emit, or only absorb, compared with Cycles."""
 
 import bpy
 import numpy as np
@@ -62,7 +62,7 @@ def test_a_volume_of_nothing_is_refused(scene, tmp_path):
 
 
 def test_leaves_are_lit_by_what_only_shines(scene, tmp_path):
-    """Without any sun, and without anything that scatters but the leaves."""
+    """There is no sun, and only the leaves scatter."""
     bpy.data.objects.remove(bpy.data.objects["sun"])
     leaves, glow = scenery.add_leaves(), scenery.add_fog(tmp_path, material=False)
     material = make_material()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Each kind of light on a small cloud: our picture is as bright as that of Cycles alone.
+"""Each kind of light on a small cloud: our picture is as bright as the picture of Cycles alone.
 
 Cycles follows light through 64 scatterings; ours is what a bake of the scene shows, at Strength 1
 and without any other factor. Both pictures are of the same camera, and linear.
@@ -21,7 +21,7 @@ from tests.scene.lights.test_lamps import add_environment, add_mapping
 EDGE = 16  # voxels of the cloud, 2 m
 EYE, WIDTH = (0, -8, 4), 2.4  # m, of the camera
 INSIDE = (0.1, 0.05, -0.1)  # m, a place in the cloud
-LIMIT = 0.05  # by which a picture's mean may differ
+LIMIT = 0.05  # relative error of a picture's mean
 # Light of an area counts as a lobe about its mean direction, with all that is scattered: measured
 # 3 % too dark, and 8 % where slats make it a beam.
 LIMIT_OF_AREAS = 0.1
@@ -65,7 +65,7 @@ def add_cloud(folder, extinction=5.0, albedo=0.9, g=0.4, around=0, **grids):
 
 
 def add_lamp(kind, place, **settings):
-    """One that shines on the cloud."""
+    """A lamp that shines on the cloud."""
     lamp = bpy.data.lights.new(kind, kind)
     for name, value in settings.items():
         setattr(lamp, name, value)
@@ -100,7 +100,7 @@ def even_world():
 
 
 def panorama():
-    """Dark ground, a sky that brightens to one side, a sun in it; turned by a Mapping."""
+    """Dark ground, a sky that is brighter on one side, and a sun in it, rotated by a Mapping."""
     row, column = np.mgrid[:64, :128] / 64
     sky = (row > 0.5) * (1 + 0.5 * np.sin(np.pi * column)) + 0.05
     pixels = sky[..., None].repeat(3, axis=2)
@@ -159,7 +159,7 @@ def pictures(folder, ob, mode="REPLACE", size=16, samples=64, margin=4, **option
     outcome = scenery.bake_light(
         ob, resolution=EDGE + margin, folder=str(folder), mode=mode, device="", **options
     )
-    cycles.volume_bounces = 0  # as users have it
+    cycles.volume_bounces = 0  # the default
     with silent_stdout():
         found = render(scene, folder / "ours.exr", size, 16 if mode == "REPLACE" else samples)
     restore_scene(scene)
@@ -202,7 +202,7 @@ def test_level_of_a_lamp_inside_is_that_of_cycles(tmp_path):
 
 
 def test_level_of_a_cloud_in_a_large_domain_is_that_of_cycles(tmp_path):
-    """Most of its voxels are empty, and bright with light that nobody sees."""
+    """Most of its voxels are empty, and full of light that is invisible."""
     look()
     add_lamp("SUN", (1, -2, 3), energy=3.0)
     ob = add_cloud(tmp_path, around=EDGE)
@@ -211,7 +211,7 @@ def test_level_of_a_cloud_in_a_large_domain_is_that_of_cycles(tmp_path):
 
 
 def test_level_of_a_lamp_beside_a_cloud_is_that_of_cycles(tmp_path):
-    """Its light is strongest in empty voxels around it."""
+    """Its light is strongest in the empty voxels around it."""
     look()
     add_lamp("POINT", (0.2, -0.9, 0.6), energy=60.0, shadow_soft_size=0.05)
     expected, found, _ = pictures(tmp_path, add_cloud(tmp_path), size=12, margin=8, quality="draft")

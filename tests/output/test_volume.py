@@ -102,7 +102,7 @@ class TestVolumeLight:
     LIGHTS = (Sun((0, 0, -1), 1.0), Sky(1.0), PointLight((0, 0, 9), 1.0))
 
     def field(self, glow=0.0, apart=True):
-        """Scattered light of 1 with a flux of 0.5, and that of the lights, and of the medium."""
+        """Scattered light of 1 with a flux of 0.5, and the light of lights and medium."""
         own = np.stack([np.full(self.SHAPE, value, np.float32) for value in (2.1, 3.1, 4.1)])
         flux = np.zeros((2, 3, *self.SHAPE[1:]), np.float32)
         flux[:, 2] = -0.5
@@ -148,10 +148,10 @@ class TestVolumeLight:
 
     @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
     def test_light_of_small_angles_stays_with_its_beam(self, mode):
-        """It is no part of what comes from many directions any more, nor of the flux of that."""
+        """It is no longer part of the light from many directions, nor of its flux."""
         field = self.field()
         field.direct_flux = np.zeros_like(field.flux)
-        field.direct_flux[:, 2] = -2.1  # the sun's; that of the others is left out
+        field.direct_flux[:, 2] = -2.1  # the sun's, without those of the others
         field.forward = np.zeros_like(field.by_light)
         field.forward[0] = 0.25
         lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
@@ -203,7 +203,9 @@ class TestVolumeLight:
     def test_in_a_white_furnace_light_has_no_direction(self):
         medium = Medium(np.ones((6, 7, 8)), 1.0, 0.5, 0.0, 0.85)
         field = solve(medium, [Sky(1.0)])
-        assert np.abs(field.flux).max() > 0.1  # as unscattered light flows in, scattered flows out
+        assert (
+            np.abs(field.flux).max() > 0.1
+        )  # uncollided light flows in, scattered light flows out
         light, others, _beams = volume_light(field, [Sky(1.0)], "REPLACE")
         assert light == pytest.approx(1, rel=1e-5)
         for name in FLUX:
@@ -265,7 +267,7 @@ def test_missing_folder_is_one_sentence(tmp_path, domain, density, light):
 
 @pytest.fixture
 def shared_folder():
-    """A folder that every user can reach, unlike pytest's own."""
+    """A folder that every user can access, unlike pytest's own."""
     with tempfile.TemporaryDirectory() as folder:
         yield Path(folder)
 
