@@ -65,6 +65,10 @@ def _add(digest: hashlib.blake2b, value: object) -> None:
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape}".encode())
         digest.update(np.ascontiguousarray(value))
+    elif isinstance(value, (float, np.floating)):  # Blender stores no more digits
+        digest.update(f"float {value:.7g};".encode())
+    elif value is None or isinstance(value, (str, bytes, int, complex, np.generic)):
+        digest.update(f"{type(value).__name__} {value!r};".encode())
     elif isinstance(value, HasCacheKey):
         _add(digest, value.cache_key)
     elif isinstance(value, (list, tuple)):
@@ -73,10 +77,6 @@ def _add(digest: hashlib.blake2b, value: object) -> None:
         _add(digest, sorted(value.items(), key=repr))
     elif isinstance(value, (set, frozenset)):
         _add(digest, sorted(value, key=repr))
-    elif isinstance(value, (float, np.floating)):  # Blender stores no more digits
-        digest.update(f"float {value:.7g};".encode())
-    elif value is None or isinstance(value, (str, bytes, int, complex, np.generic)):
-        digest.update(f"{type(value).__name__} {value!r};".encode())
     elif isinstance(value, type) or not hasattr(value, "__dict__") or hasattr(value, "__code__"):
         digest.update(getattr(value, "__qualname__", type(value).__qualname__).encode())
     else:
