@@ -53,7 +53,7 @@ class Cleared:
 
     @property
     def summary(self) -> str:
-        return f"LB light taken out of {self.count} object{'s' * (self.count != 1)}"
+        return f"LB light removed from {self.count} object{'s' * (self.count != 1)}"
 
     def delete_files(self) -> list[str]:
         """Delete the .vdb files, and all frames of sequences; notes on the files that were kept.
@@ -137,7 +137,7 @@ def _reason_to_keep(file: BakedFile) -> str | None:
     user = _user_of(file)
     if user:
         return f"'{user}' still shows it"
-    return "it came here from another .blend" if file.is_foreign else None
+    return "it belongs to another .blend" if file.is_foreign else None
 
 
 def _user_of(file: BakedFile) -> str | None:

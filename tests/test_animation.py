@@ -171,11 +171,11 @@ def turning_sun():
 
 def ways(sun, frames):
     """{frame: (3,)}: the direction in which sunlight travels."""
-    found = {}
+    directions = {}
     for frame in frames:
         bpy.context.scene.frame_set(frame)
-        found[frame] = -np.array(sun.matrix_world.col[2])[:3]
-    return found
+        directions[frame] = -np.array(sun.matrix_world.col[2])[:3]
+    return directions
 
 
 def test_each_frame_has_its_own_direction_of_the_sun(scene, tmp_path):

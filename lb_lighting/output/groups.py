@@ -47,5 +47,5 @@ def add_seen(tree: Any, x: float, y: float) -> Socket:
     straight = add_math(tree, "MAXIMUM", path["Is Camera Ray"], path["Is Glossy Ray"], x + 200, y)
     bounces = add_math(tree, "SUBTRACT", path["Ray Depth"], path["Glossy Depth"], x + 200, y - 200)
     bounces = add_math(tree, "SUBTRACT", bounces, path["Transmission Depth"], x + 400, y - 200)
-    unscattered = add_math(tree, "LESS_THAN", bounces, 0.5, x + 600, y - 200)
-    return add_math(tree, "MULTIPLY", straight, unscattered, x + 800, y)
+    is_direct = add_math(tree, "LESS_THAN", bounces, 0.5, x + 600, y - 200)
+    return add_math(tree, "MULTIPLY", straight, is_direct, x + 800, y)

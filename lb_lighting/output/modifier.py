@@ -50,14 +50,15 @@ def readers(
             )
         reason = attribute.misplaced(ob, depsgraph, sharers)
         if source.lights_instances:
-            reason = "geometry nodes make instances, each of which has the light at its origin"
+            reason = "geometry nodes make instances, each of which shows the light at its origin"
         is_chosen = chosen and source.is_foliage
         if is_chosen or reason:
             numbers.append(number)
         if reason and not is_chosen:
             misplaced.setdefault(reason, []).append(ob.name)
     notes.extend(
-        f"{listed(names)}: {reason}. The modifier {GRID_GROUP} looks the light up there."
+        f"{listed(names)}: {reason}. The modifier {GRID_GROUP} reads their light "
+        "from the baked volume."
         for reason, names in misplaced.items()
     )
     return numbers

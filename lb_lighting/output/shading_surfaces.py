@@ -83,7 +83,7 @@ def hindrance(materials: Iterable[bpy.types.Material | None]) -> str | None:
     names = "Metallic", "Transmission Weight"
     closures = [c for material in materials for c in surface_closures(material)]
     if any(may_be_positive(c, name) for c in closures if is_principled(c) for name in names):
-        return "a material is of metal or glass"
+        return "a material is metal or glass"
     return None
 
 

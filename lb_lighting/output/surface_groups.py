@@ -160,6 +160,6 @@ def _build_rest(tree: Any) -> None:
     # Scale the colour by the share that remains.
     hidden = add_math(tree, "MULTIPLY", seen, hidden, 0, 0)
     share = add_math(tree, "SUBTRACT", 1.0, hidden, 200, 0)
-    rest = add_vector(tree, "SCALE", color, share, 400, 100)
+    remaining = add_vector(tree, "SCALE", color, share, 400, 100)
     output = add_node(tree, "NodeGroupOutput", 600, 100)
-    tree.links.new(rest, output.inputs["Color"])
+    tree.links.new(remaining, output.inputs["Color"])

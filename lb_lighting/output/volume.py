@@ -96,7 +96,7 @@ def show_volume(
         remove_baked(other)
     for source in sources:
         tie(source, ob)
-    _part_from_copies(ob)
+    _unshare(ob)
     ob.pop(APPENDED, None)
     # Show the file, at the world's origin.
     _show_file(_volume_data(ob), path, frames)
@@ -206,7 +206,7 @@ def remove_unused(baked: Iterable[bpy.types.Object]) -> None:
             remove_baked(ob)
 
 
-def _part_from_copies(ob: bpy.types.Object) -> None:
+def _unshare(ob: bpy.types.Object) -> None:
     """Give the baked Volume object `ob` data and materials of its own where they are shared with
     copies, or linked from another file.
 

@@ -217,8 +217,8 @@ def dump(material):
     }
     active = tree.nodes.active
     links = sorted(ends(link) for link in tree.links)
-    own = properties(material), properties(material.cycles), list(material.keys())
-    return nodes, links, active, own
+    settings = properties(material), properties(material.cycles), list(material.keys())
+    return nodes, links, active, settings
 
 
 def ambient(material):

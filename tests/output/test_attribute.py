@@ -126,9 +126,9 @@ def test_irradiance_is_that_of_radiance_linear_in_direction(radiance):
         (np.maximum(0, sign * onto) * shine).sum(axis=(1, 2)) * solid_angle for sign in (-1, 1)
     )
     field = field_of(np.full((1, *DOMAIN.shape), fluence), flux[None])
-    found = irradiance(field, np.zeros((4, 3)), NORMALS)
-    assert found[0][:, 0] == pytest.approx(front, rel=1e-3)
-    assert found[1][:, 0] == pytest.approx(back, rel=1e-3)
+    sides = irradiance(field, np.zeros((4, 3)), NORMALS)
+    assert sides[0][:, 0] == pytest.approx(front, rel=1e-3)
+    assert sides[1][:, 0] == pytest.approx(back, rel=1e-3)
 
 
 def test_irradiance_is_not_negative():
@@ -250,10 +250,10 @@ def test_what_is_not_a_mesh_is_refused_before_anything_is_written():
 
 
 def test_a_mesh_that_was_changed_meanwhile_is_refused_before_anything_is_written():
-    whole, cut = add(triangle()), add(triangle(), "cut")
+    uncut, cut = add(triangle()), add(triangle(), "cut")
     with pytest.raises(OutputError, match=r"^The mesh of cut was changed while it was lit; bake"):
-        write_ambient([whole, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
-    assert AMBIENT_ATTRIBUTE not in whole.data.attributes
+        write_ambient([uncut, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
+    assert AMBIENT_ATTRIBUTE not in uncut.data.attributes
 
 
 def test_edit_mode_is_refused():

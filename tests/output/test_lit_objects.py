@@ -116,14 +116,14 @@ def test_an_object_whose_light_was_removed_by_hand_gets_its_slots_back():
 def test_materials_of_lit_meshes_in_other_scenes_stay_wired():
     user = principled()
     here = lit_object(bpy.context.scene, user)
-    there = lit_object(bpy.data.scenes.new("other"), user)
+    other = lit_object(bpy.data.scenes.new("other"), user)
     plain = lit_object(bpy.data.scenes["other"])
     remove_light(here)
     unlight_surface(here)
     unwire_unused()
     assert ambient(user)
     assert ambient(plain.material_slots[0].material)
-    remove_light(there)
+    remove_light(other)
     unwire_unused()
     assert not ambients(user)
 

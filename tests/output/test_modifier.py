@@ -16,7 +16,8 @@ from lb_lighting.output.ambient import (
     irradiance,
     sample,
 )
-from lb_lighting.output.modifier import GRID_GROUP, add_modifier, has_modifier
+from lb_lighting.output.grid_groups import GRID_GROUP
+from lb_lighting.output.modifier import add_modifier, has_modifier
 from lb_lighting.output.shading_surfaces import wire_ambient
 from lb_lighting.output.vdb import AXES, write_vdb
 from lb_lighting.output.volume import show_volume

@@ -236,14 +236,14 @@ def test_replace_scatters_beams_as_cycles_does(tmp_path, beams, angle):
     ob = thin_box(tmp_path / "a.vdb", beams)
     shade_volume(ob, "REPLACE", THIN, 0.0, g, beams)
     scene.cycles.volume_biased = True
-    found = render(scene, tmp_path / "a.exr", 16, 4).mean(axis=(0, 1))
+    measured = render(scene, tmp_path / "a.exr", 16, 4).mean(axis=(0, 1))
 
     ob.data.materials[0] = scattering_material(g)
     for beam in beams:
         lamp(beam)
     scene.cycles.volume_biased = False  # marching is too noisy for so thin a medium
     expected = render(scene, tmp_path / "b.exr", 16, 256).mean(axis=(0, 1))
-    assert found == pytest.approx(expected, rel=0.02)
+    assert measured == pytest.approx(expected, rel=0.02)
 
 
 def henyey_greenstein(cosine, g):
@@ -366,8 +366,8 @@ def test_baked_volume_lies_on_its_source(tmp_path):
     write_vdb(tmp_path / "baked.vdb", domain, density, np.ones((1, *domain.shape)), {})
     baked = show_volume(bpy.context, [source("source")], tmp_path / "baked.vdb")
     shade_volume(baked, "ADD", 1.0, 0.0)
-    found = render(scene, tmp_path / "baked.exr", 64, 16)
+    measured = render(scene, tmp_path / "baked.exr", 64, 16)
 
     voxel = domain.voxel_size / (4 / 64)  # in pixels
-    assert centroid(found) == pytest.approx(centroid(seen), abs=0.1 * voxel)
-    assert found.mean() == pytest.approx(seen.mean(), rel=0.01)
+    assert centroid(measured) == pytest.approx(centroid(seen), abs=0.1 * voxel)
+    assert measured.mean() == pytest.approx(seen.mean(), rel=0.01)

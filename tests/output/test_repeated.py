@@ -19,7 +19,8 @@ from lb_lighting.output.ambient import (
     sample,
 )
 from lb_lighting.output.attribute import has_ambient
-from lb_lighting.output.modifier import GRID_GROUP, has_modifier
+from lb_lighting.output.grid_groups import GRID_GROUP
+from lb_lighting.output.modifier import has_modifier
 from lb_lighting.scene.meshes import read_mesh
 from lb_lighting.sequence import Sequence
 from tests import scenery

@@ -120,9 +120,9 @@ class TestFirstSave:
         monkeypatch.setattr(running, "last", ())
         save(project / "scene.blend")
         assert baked_path(*baked_volumes(bpy.context.scene)) == unsaved
-        (told,) = running.last
-        assert told.startswith(f"{unsaved} could not be copied beside the .blend and stays")
-        assert told in capsys.readouterr().err
+        (note,) = running.last
+        assert note.startswith(f"{unsaved} could not be copied beside the .blend and stays")
+        assert note in capsys.readouterr().err
         assert not [path for path in project.rglob("*.vdb*") if path.is_file()]
         bpy.ops.wm.open_mainfile(filepath=str(project / "scene.blend"))
         assert baked_path(*baked_volumes(bpy.context.scene)) == unsaved
@@ -131,11 +131,13 @@ class TestFirstSave:
     def test_what_an_earlier_version_kept_in_its_own_folder_comes_along(
         self, scene, project, tmp_path, monkeypatch
     ):
-        own = tmp_path / "extension"
-        (own / "baked").mkdir(parents=True)
+        extension = tmp_path / "extension"
+        (extension / "baked").mkdir(parents=True)
         monkeypatch.setattr(saving, "__package__", "bl_ext.user_default.lb_lighting.lb_lighting")
-        monkeypatch.setattr(bpy.utils, "extension_path_user", lambda _name, path: str(own / path))
-        path = baked_path(light(scenery.add_fog(tmp_path), folder=own / "baked"))
+        monkeypatch.setattr(
+            bpy.utils, "extension_path_user", lambda _name, path: str(extension / path)
+        )
+        path = baked_path(light(scenery.add_fog(tmp_path), folder=extension / "baked"))
         save(project / "scene.blend")
         assert shown()[0] == f"//{path.name}"
         assert (project / path.name).exists()
@@ -205,19 +207,19 @@ class TestCommandLine:
         assert blend.with_name("scene.blend1").read_bytes() == before
         assert sorted(os.listdir(blend.parent)) == ["scene.blend", "scene.blend1"]
 
-    @pytest.mark.parametrize("wanted", [0, 1, 2])
-    def test_as_many_versions_are_kept_as_the_user_wants(self, project, wanted):
+    @pytest.mark.parametrize("count", [0, 1, 2])
+    def test_as_many_versions_are_kept_as_the_user_wants(self, project, count):
         blend, paths = project / "scene.blend", bpy.context.preferences.filepaths
-        paths.save_version, usual = wanted, paths.save_version
+        paths.save_version, usual = count, paths.save_version
         try:
             for text in ("first", "second", "third"):
                 blend.write_text(text)
                 blend_file.save(blend)
         finally:
             paths.save_version = usual
-        kept = [blend.with_name(f"scene.blend{n}") for n in range(1, wanted + 1)]
-        assert [path.read_text() for path in kept] == ["third", "second"][:wanted]
-        assert len(os.listdir(project)) == 1 + wanted
+        kept = [blend.with_name(f"scene.blend{n}") for n in range(1, count + 1)]
+        assert [path.read_text() for path in kept] == ["third", "second"][:count]
+        assert len(os.listdir(project)) == 1 + count
 
     def test_paths_are_relative_to_where_it_is(self, blend, tmp_path):
         (tmp_path / "lit").mkdir()
@@ -296,12 +298,12 @@ class TestFullDisk:
         disk = tmp_path / "disk"
         disk.mkdir()
         size = f"{int(1.5 * blend.stat().st_size / 1024)}k"
-        there = disk / "scene.blend"
+        copy = disk / "scene.blend"
         done = on_small_disk(
             disk,
             size,
-            f"cp {blend} {there}; {sys.executable} -m lb_lighting clear {there}; code=$?; "
-            f"ls -A {disk}; cmp {blend} {there} && exit $code",
+            f"cp {blend} {copy}; {sys.executable} -m lb_lighting clear {copy}; code=$?; "
+            f"ls -A {disk}; cmp {blend} {copy} && exit $code",
         )
         assert done.returncode == 1
         assert done.stdout.splitlines()[-1] == "scene.blend"

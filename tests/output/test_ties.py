@@ -92,8 +92,8 @@ class TestDeletedLight:
         lose(ob)
         cleared = clear(bpy.context)
         assert cleared.count == 1
-        for rest in list(bpy.data.collections):
-            bpy.data.collections.remove(rest)
+        for collection in list(bpy.data.collections):
+            bpy.data.collections.remove(collection)
         bpy.data.orphans_purge()
         after = snapshot()
         assert {name: after.get(name) for name in before} == before
@@ -107,12 +107,12 @@ class TestDeletedLight:
 
     def test_undo_brings_the_light_back_and_hides_the_source(self, baked):
         delete(baked)
-        found = []
+        states = []
         for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
             step()
             fog = bpy.data.objects["fog"]
-            found.append((len(baked_volumes(bpy.context.scene)), *hidden(fog)))
-        assert found == [(1, True), (0, False), (1, True)]
+            states.append((len(baked_volumes(bpy.context.scene)), *hidden(fog)))
+        assert states == [(1, True), (0, False), (1, True)]
 
     def test_light_that_is_linked_again_hides_the_source(self, fog, baked):
         unlink(baked)
@@ -297,7 +297,7 @@ class TestAppended:
         cleared = clear(bpy.context)
         assert hidden(fog) == [False]
         (note,) = cleared.delete_files()
-        assert note == f"{path} was kept, because it came here from another .blend."
+        assert note == f"{path} was kept, because it belongs to another .blend."
         assert path.exists()
 
     def test_what_is_linked_is_left_to_its_file(self, library):
