@@ -27,6 +27,9 @@ from .output import (
     volume,
 )
 from .output.ambient import STAND_OFF
+from .output.render_settings import prepare_scene
+from .output.sources import hide_source, lost_sources, show_source, sources_shown_by
+from .output.ties import mend
 from .scene.frames import at_frame
 from .scene.grids.resample import box_bounds
 from .scene.lights.lamps import scene_lights
@@ -41,7 +44,6 @@ from .tasks.light import (
     Light,
     Lit,
 )
-from .ties import mend
 from .transport.lights.distant import Sky
 from .transport.medium import Optics
 
@@ -373,7 +375,7 @@ def sources_of(scene, objects):
     baked = volume.baked_volumes(scene)
     found = {}  # keeps the order
     for ob in objects:
-        sources = volume.sources_of(scene, ob) if ob in baked else []
+        sources = sources_shown_by(scene, ob) if ob in baked else []
         found.update(dict.fromkeys(sources or [ob]))
     return list(found)
 
@@ -420,8 +422,8 @@ def _show_volume(context, objects, task, lit, frames, looks):
     ob = volume.show_volume(context, objects, task.path, frames)
     others = len(looks or ()) > 1  # frames, which may show what is left out of this one
     # An older bake may have had more sources than this one; they have no light now.
-    gone = [s for s in volume.sources_of(context.scene, ob) if s not in objects and not others]
-    release(context, gone + volume.lost_sources(context.scene), [])
+    gone = [s for s in sources_shown_by(context.scene, ob) if s not in objects and not others]
+    release(context, gone + lost_sources(context.scene), [])
     mode = task.options.mode
     looks = looks or {task.facts["frame"]: lit.look}
     shading_volumes.shade_frames(ob, mode, looks, task.options.strength)
@@ -435,9 +437,9 @@ def _show_volume(context, objects, task, lit, frames, looks):
         if source.is_volume and mode == "REPLACE" and source not in lost:
             # Blender deselects what is hidden; the next bake is to find it all the same.
             ob.select_set(ob.select_get() or own.select_get())
-            shading_volumes.hide_source(own)
+            hide_source(own)
         else:
-            shading_volumes.show_source(own)
+            show_source(own)
     if volumes:
-        shading_volumes.prepare_scene(context.scene)
+        prepare_scene(context.scene)
     return ob

@@ -1,88 +1,100 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a result depends on, as a short text: two that are alike were made of the same.
+"""Cache keys: short texts of what a result was computed from. Equal inputs have equal keys.
 
-Needs no Blender. Nothing of it depends on where a file lies, on the names of things, or on the
-process that asks.
+Needs no Blender. A key does not depend on where a file lies, on the names of objects, or on the
+process that computes it. Files of earlier bakes carry their keys, so a change to how a key is
+computed makes a sequence bake all its frames again.
 """
 
 import hashlib
+from collections.abc import Iterable
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 # Attributes that a result does not depend on, and `choice`, which the options contain.
-_ASIDE = {"name", "instanced", "choice", "uid"}
-_AT_ONCE = 1 << 22  # voxels of a grid that are read at once
+_IGNORED = {"name", "instanced", "choice", "uid"}
 
 
-def essence(*things):
-    """A text that tells whether `things` are the same: numbers, texts, arrays, functions, lists and
-    objects of these. An object may say by an attribute `essence` what there is to it."""
-    found = hashlib.blake2b(digest_size=16)
-    _add(found, things)
-    return found.hexdigest()
+@runtime_checkable
+class HasCacheKey(Protocol):
+    """An object that names what a result depends on, instead of all its attributes."""
+
+    @property
+    def cache_key(self) -> object:
+        """A value that `cache_key` takes: numbers, texts, arrays, and collections of these."""
 
 
-def content_of_file(path):
-    """A text that tells whether files hold the same. OSError for one that cannot be read."""
+def cache_key(*values: object) -> str:
+    """The key of `values`: numbers, texts, arrays, functions, and lists, dictionaries, sets and
+    objects of these. An object counts by its `cache_key` if it has one, else by its attributes."""
+    digest = _new_hash()
+    _add(digest, values)
+    return digest.hexdigest()
+
+
+def content_of_file(path: Path | str) -> str:
+    """The key of what a file contains. Raises OSError for a file that cannot be read."""
     path = Path(path)
-    facts = path.stat()
-    return _content_of_file(path, facts.st_size, facts.st_mtime_ns)
+    status = path.stat()
+    return _content_of_file(path, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
-def _content_of_file(path, _size, _time):
+def _content_of_file(path: Path, _size: int, _time: int) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, hashlib.blake2b).hexdigest()
 
 
-def content_of_grid(grid):
-    """A text that tells whether openvdb grids hold the same in their active voxels' box."""
-    found = hashlib.blake2b(digest_size=16)
-    if grid.activeVoxelCount():
-        lower, upper = map(np.array, grid.evalActiveVoxelBoundingBox())
-        shape = upper - lower + 1
-        channels = (3,) if isinstance(grid.background, tuple) else ()
-        depth = max(1, _AT_ONCE // int(shape[1] * shape[2]))
-        _add(found, (lower, upper))
-        for start in range(0, shape[0], depth):
-            slab = np.empty((min(depth, shape[0] - start), *shape[1:], *channels), np.float32)
-            grid.copyToArray(slab, (int(lower[0]) + start, int(lower[1]), int(lower[2])))
-            _add(found, slab)
-    return found.hexdigest()
+def content_of_blocks(blocks: Iterable[object]) -> str:
+    """The key of `blocks` in their order, for contents that are too large for the memory."""
+    digest = _new_hash()
+    for block in blocks:
+        _add(digest, block)
+    return digest.hexdigest()
 
 
-def _add(found, thing):
-    if isinstance(thing, np.ndarray):
-        found.update(f"array {thing.dtype} {thing.shape}".encode())
-        found.update(np.ascontiguousarray(thing))
-    elif hasattr(thing, "essence"):
-        _add(found, thing.essence)
-    elif isinstance(thing, (list, tuple)):
-        found.update(f"list {len(thing)}".encode())
-        for part in thing:
-            _add(found, part)
-    elif isinstance(thing, dict):
-        _add(found, sorted(thing.items(), key=repr))
-    elif isinstance(thing, (set, frozenset)):
-        _add(found, sorted(thing, key=repr))
-    elif isinstance(thing, (float, np.floating)):  # Blender has no more digits
-        found.update(f"float {thing:.7g};".encode())
-    elif thing is None or isinstance(thing, (str, bytes, int, complex, np.generic)):
-        found.update(f"{type(thing).__name__} {thing!r};".encode())
-    elif isinstance(thing, type) or not hasattr(thing, "__dict__") or hasattr(thing, "__code__"):
-        found.update(getattr(thing, "__qualname__", type(thing).__qualname__).encode())
+def _new_hash() -> hashlib.blake2b:
+    return hashlib.blake2b(digest_size=16)
+
+
+def _add(digest: hashlib.blake2b, value: object) -> None:
+    """Feed `value` to the hash, with its kind and size, so that values cannot run together."""
+    if isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype} {value.shape}".encode())
+        digest.update(np.ascontiguousarray(value))
+    elif isinstance(value, (float, np.floating)):  # Blender stores no more digits
+        digest.update(f"float {value:.7g};".encode())
+    elif value is None or isinstance(value, (str, bytes, int, complex, np.generic)):
+        digest.update(f"{type(value).__name__} {value!r};".encode())
+    elif isinstance(value, HasCacheKey):
+        _add(digest, value.cache_key)
+    elif isinstance(value, (list, tuple)):
+        _add_all(digest, value)
+    elif isinstance(value, dict):
+        _add(digest, sorted(value.items(), key=repr))
+    elif isinstance(value, (set, frozenset)):
+        _add(digest, sorted(value, key=repr))
+    elif isinstance(value, type) or not hasattr(value, "__dict__") or hasattr(value, "__code__"):
+        digest.update(getattr(value, "__qualname__", type(value).__qualname__).encode())
     else:
-        found.update(type(thing).__qualname__.encode())
-        _add(found, _parts(thing))
+        digest.update(type(value).__qualname__.encode())
+        _add(digest, _attributes(value))
 
 
-def _parts(thing):
-    """{attribute: value} of an object, without what is worked out of the others."""
-    kind = type(thing)
+def _add_all(digest: hashlib.blake2b, values: list[Any] | tuple[Any, ...]) -> None:
+    digest.update(f"list {len(values)}".encode())
+    for value in values:
+        _add(digest, value)
+
+
+def _attributes(value: object) -> dict[str, object]:
+    """{name: value} of an object's attributes, without those computed from others."""
+    kind = type(value)
     return {
-        name: value
-        for name, value in vars(thing).items()
-        if name not in _ASIDE and not isinstance(getattr(kind, name, None), cached_property)
+        name: attribute
+        for name, attribute in vars(value).items()
+        if name not in _IGNORED and not isinstance(getattr(kind, name, None), cached_property)
     }

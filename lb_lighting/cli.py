@@ -16,9 +16,9 @@ from pathlib import Path
 import bpy
 
 from . import bake, job
+from .blend_file import save
 from .errors import LightingError, OutputError, SceneError
 from .output.volume import require_writable
-from .saving import save
 from .sequence import Sequence
 
 _HELP = {

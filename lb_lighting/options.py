@@ -90,7 +90,7 @@ class Options:
         return self.model == "physical" and self.quality != CUSTOM
 
     @property
-    def essence(self):
+    def cache_key(self):
         """All that a result depends on, as text: not how it is shown, or where it is made."""
         values = {name: value for name, value in asdict(self).items() if name not in SHOWN}
         return repr(values | {"format": FORMAT})

@@ -25,7 +25,7 @@ from .output.keys import are_keyed
 from .output.look import Look
 from .output.vdb import link_or_copy, read_whole, write_empty
 from .tasks.light import (
-    ESSENCE,
+    CACHE_KEY,
     LIGHTS,
     LOOK,
     SOURCES,
@@ -33,9 +33,9 @@ from .tasks.light import (
 )
 
 EMPTY = "empty"  # in a file's metadata: why there is nothing to light
-# Why a frame that is there is baked again, by the first of its essences that differs.
+# Why a frame that is there is baked again, by the first of its cache keys that differs.
 REASONS = {
-    ESSENCE: "the settings have changed",
+    CACHE_KEY: "the settings have changed",
     LIGHTS: "the lamps or the world have changed",
     SOURCES: "what is lit has changed",
 }
@@ -129,7 +129,7 @@ class Sequence:
         try:
             return self.baking.update(wait)
         except EmptyError as error:
-            self._pass_over(error, self.baking.task.essences())
+            self._pass_over(error, self.baking.task.cache_keys())
             self.baking = None
             return True
         except BaseException:
@@ -174,10 +174,10 @@ class Sequence:
         self.again.pop(frame, None)
         if not stamp.keys() >= REASONS.keys():
             self.again[frame] = UNREADABLE
-        elif stamp[ESSENCE] != self.options.essence:  # no need to look at the scene
-            self.again[frame] = REASONS[ESSENCE]
+        elif stamp[CACHE_KEY] != self.options.cache_key:  # no need to look at the scene
+            self.again[frame] = REASONS[CACHE_KEY]
         else:
-            now = self._essences(context, objects, frame, Decided.read(stamp))
+            now = self._cache_keys(context, objects, frame, Decided.read(stamp))
             changed = [why for name, why in REASONS.items() if stamp[name] != now[name]]
             if changed:
                 self.again[frame] = changed[0]
@@ -187,18 +187,18 @@ class Sequence:
             if self.decided == Decided():
                 self.decided = Decided.read(stamp)
 
-    def _essences(self, context, objects, frame, decided):
-        """Those of `Light.essences`, as the scene is at a frame now."""
+    def _cache_keys(self, context, objects, frame, decided):
+        """Those of `Light.cache_keys`, as the scene is at a frame now."""
         try:
             path = self.frames.path(frame)
             task = gather(context, objects, self.options, path, decided, frame=frame)
-            return task.essences()
+            return task.cache_keys()
         except EmptyError:
-            return self._essences_of_nothing
+            return self._cache_keys_of_nothing
 
     @property
-    def _essences_of_nothing(self):
-        return {ESSENCE: self.options.essence, LIGHTS: EMPTY, SOURCES: EMPTY}
+    def _cache_keys_of_nothing(self):
+        return {CACHE_KEY: self.options.cache_key, LIGHTS: EMPTY, SOURCES: EMPTY}
 
     def _begin(self, context, objects):
         """All frames that are there are known: settle the folder, and what is to be baked."""
@@ -223,7 +223,7 @@ class Sequence:
                 context, objects, self.options, self.frames, self.decided, frame=frame
             )
         except EmptyError as error:
-            self._pass_over(error, self._essences_of_nothing)
+            self._pass_over(error, self._cache_keys_of_nothing)
 
     def _show(self, context):
         """Show the frame that is lit."""
@@ -243,9 +243,9 @@ class Sequence:
     def _looks(self):
         return {frame: look for frame, look in self.there.items() if look is not None}
 
-    def _pass_over(self, error, essences):
+    def _pass_over(self, error, cache_keys):
         """The first frame that is missing is empty; its file waits for one to be like."""
-        self.empty[self.missing.pop(0)] = {**essences, EMPTY: str(error)}
+        self.empty[self.missing.pop(0)] = {**cache_keys, EMPTY: str(error)}
 
     def _write_empty(self, like):
         """Write the files of the frames that are empty, by a whole one: [frame] of these."""
@@ -336,7 +336,7 @@ def _decided(folder, options):
     """What other frames in `folder` have `Decided`, if they were baked with the same options."""
     for path in volume.Frames.files(folder):
         stamp = read_whole(path)
-        if stamp.get(ESSENCE) == options.essence and EMPTY not in stamp:
+        if stamp.get(CACHE_KEY) == options.cache_key and EMPTY not in stamp:
             return Decided.read(stamp)
     return Decided()
 

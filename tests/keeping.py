@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light as a bake leaves it in a scene, without the solve."""
+"""Light in a scene as a bake leaves it, without the solve."""
 
 import bpy
 import numpy as np
 
 from lb_lighting.output import shading_volumes, volume
+from lb_lighting.output.sources import hide_source
 from lb_lighting.output.vdb import write_vdb
 from lb_lighting.transport.medium import Domain
 
@@ -12,14 +13,14 @@ SHAPE = 3, 4, 5
 
 
 def write_light(path):
-    """A small .vdb of ours at `path`, which is returned."""
+    """Write a small .vdb of ours to `path`, and return the path."""
     ones = np.ones(SHAPE, np.float32)
     write_vdb(path, Domain((-1.0, -1.0, -1.0), 0.5, SHAPE), ones, ones[None], {})
     return path
 
 
 def light(*sources, folder, frames=None):
-    """The Volume object that stands for the hidden `sources`.
+    """The Volume object that replaces the hidden `sources`.
 
     frames  (first, last) of a sequence, or None
     """
@@ -33,11 +34,11 @@ def light(*sources, folder, frames=None):
     ob = volume.show_volume(bpy.context, sources, path, frames)
     shading_volumes.shade_volume(ob, "REPLACE", 3.6, 0.4)
     for source in sources:
-        shading_volumes.hide_source(source)
+        hide_source(source)
     return ob
 
 
 def hidden(*objects):
-    """Whether each is hidden, from viewport and render alike."""
+    """Whether each is hidden, in the viewport and in renders alike."""
     assert all(ob.hide_viewport == ob.hide_render for ob in objects)
     return [ob.hide_render for ob in objects]

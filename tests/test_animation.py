@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each baked frame is lit by, and shows: objects, materials and lamps that change."""
+"""Objects, materials and lamps that change: what lights each baked frame, and what it shows."""
 
 import bpy
 import numpy as np
@@ -8,9 +8,9 @@ from mathutils import Vector
 
 from lb_lighting import bake
 from lb_lighting.bake import Options
-from lb_lighting.output.groups import BEAM_GROUP, LAMP_GROUP
-from lb_lighting.output.shading_volumes import hide_source
+from lb_lighting.output.sources import hide_source
 from lb_lighting.output.volume import baked_volumes
+from lb_lighting.output.volume_groups import BEAM_GROUP, LAMP_GROUP
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.output.rendering import dark_scene, render
@@ -156,7 +156,7 @@ def tree():
 
 
 def directions(frame):
-    """[(3,)]: of the light of suns, as the shader has it at a frame."""
+    """[(3,)]: the directions of sunlight in the shader at a frame."""
     bpy.context.scene.frame_set(frame)
     nodes = [n for n in tree().nodes if n.type == "GROUP" and n.node_tree.name == BEAM_GROUP]
     return [[node.inputs[a].default_value[0] for a in "XYZ"] for node in nodes]
@@ -170,12 +170,12 @@ def turning_sun():
 
 
 def ways(sun, frames):
-    """{frame: (3,)}: where the sun's light goes."""
-    found = {}
+    """{frame: (3,)}: the direction in which sunlight travels."""
+    directions = {}
     for frame in frames:
         bpy.context.scene.frame_set(frame)
-        found[frame] = -np.array(sun.matrix_world.col[2])[:3]
-    return found
+        directions[frame] = -np.array(sun.matrix_world.col[2])[:3]
+    return directions
 
 
 def test_each_frame_has_its_own_direction_of_the_sun(scene, tmp_path):
@@ -188,7 +188,7 @@ def test_each_frame_has_its_own_direction_of_the_sun(scene, tmp_path):
     scene.frame_set(1, subframe=0.9)  # the file is that of frame 1
     assert tree().nodes["Group"].inputs["Strength"].default_value == 1
     assert not any("move" in note.lower() for note in outcome.notes)
-    bake_frames(fog, last=3)  # those that were kept are keyed, too
+    bake_frames(fog, last=3)  # kept frames have keyframes too
     expected = ways(sun, (1, 2, 3))
     for frame in (1, 2, 3):
         assert directions(frame)[0] == pytest.approx(expected[frame], abs=1e-6)
@@ -229,7 +229,7 @@ def test_what_does_not_change_has_no_keys_and_those_of_the_user_stay(scene, tmp_
 
 
 def test_frames_with_other_lamps_show_each_their_own(scene, tmp_path):
-    """First a sun, then a lamp alone that flies and grows, of which the same grid has the light."""
+    """First a sun, then only a lamp that moves and grows, whose light is in the same grid."""
     fog = scenery.add_fog(tmp_path)
     sun = bpy.data.objects["sun"]
     key(sun.data, "energy", frame_1=3.0, frame_2=0.0)
@@ -255,7 +255,7 @@ def test_frames_with_other_lamps_show_each_their_own(scene, tmp_path):
 
 
 def test_pictures_of_frames_are_those_of_single_bakes(scene, tmp_path):
-    """A sun that turns, and a material that thickens."""
+    """A sun that turns, and a material whose density increases."""
     fog = scenery.add_fog(tmp_path)
     turning_sun()
     socket = fog.active_material.node_tree.nodes["Principled Volume"].inputs["Density"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which files Clear deletes when asked to: ours, all of them, and none that is still shown."""
+"""The files that Clear deletes on request: all of ours, except those that are still shown."""
 
 import os
 import tempfile
@@ -50,8 +50,8 @@ def test_a_file_that_a_copy_shows_is_kept_and_the_user_is_told(fog, tmp_path, fr
     bpy.ops.object.duplicate()
     assert bpy.ops.lb_lighting.clear(delete_files=True) == {"FINISHED"}
     kept = path.parent if frames else path
-    told = f"Warning: {kept} was kept, because 'LB fog.001' still shows it."
-    assert told in capfd.readouterr().out
+    note = f"Warning: {kept} was kept, because 'LB fog.001' still shows it."
+    assert note in capfd.readouterr().out
     assert files(tmp_path) == before
 
 
@@ -104,4 +104,4 @@ def test_files_go_only_when_the_scene_without_them_is_saved(fog, tmp_path, monke
     assert path.exists()
     assert cli.main(arguments, opens_file=True) == 0
     assert not path.exists()
-    assert "LB light taken out of 1 object\n" in capsys.readouterr().out
+    assert "LB light removed from 1 object\n" in capsys.readouterr().out

@@ -8,17 +8,20 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import openvdb
 import pytest
 
 import lb_lighting
 from lb_lighting import bake, worker
 from lb_lighting.bake import Options
-from lb_lighting.cache_key import essence
+from lb_lighting.cache_key import cache_key
 from lb_lighting.errors import EmptyError, SceneError
 from lb_lighting.output.modifier import has_modifier
 from lb_lighting.output.vdb import DENSITY_GRID, LIGHT_GRID, read_metadata, read_whole, unfinished
 from lb_lighting.output.volume import baked_path, baked_volumes
+from lb_lighting.scene.volumes import Grid
 from lb_lighting.sequence import REASONS, UNREADABLE, Sequence
+from lb_lighting.transport import PointLight, Sky, Sun
 from tests import scenery
 from tests.scenery import read_grid
 
@@ -151,15 +154,15 @@ def renamed_and_copied(fog):
     ids=lambda change: change.__name__,
 )
 def test_a_frame_tells_what_it_was_made_of(scene, fog, change):
-    before = essences(fog)
-    assert essences(fog) == before
+    before = cache_keys(fog)
+    assert cache_keys(fog) == before
     differs = change(fog)
-    after = essences(fog)
+    after = cache_keys(fog)
     assert [name for name in after if after[name] != before[name]] == [differs] * bool(differs)
 
 
-def essences(ob, **changes):
-    return bake.gather(bpy.context, [ob], Options.of(bpy.context.scene, **changes)).essences()
+def cache_keys(ob, **changes):
+    return bake.gather(bpy.context, [ob], Options.of(bpy.context.scene, **changes)).cache_keys()
 
 
 @pytest.mark.parametrize("how", ["ATTRIBUTE", "MODIFIER"])
@@ -167,9 +170,9 @@ def essences(ob, **changes):
 def test_showing_light_does_not_change_what_is_lit(scene, how, material):
     scene.lb_lighting.resolution = 8
     leaves = scenery.add_leaves(count=30, material=material)
-    before = essences(leaves, foliage=how)
+    before = cache_keys(leaves, foliage=how)
     bake_frames(leaves, last=1, foliage=how)
-    assert essences(leaves, foliage=how) == before
+    assert cache_keys(leaves, foliage=how) == before
     assert read_metadata(frames()[1]).items() >= before.items()
 
 
@@ -179,21 +182,43 @@ def test_a_mesh_that_keeps_the_light_of_the_last_frame_is_named(scene):
     assert any(note.startswith("'leaves' shows the light of the last frame") for note in notes)
 
 
-def test_an_essence_tells_contents_apart_and_nothing_else():
+def test_a_cache_key_tells_contents_apart_and_nothing_else():
     numbers = np.arange(6.0)
     alike = [numbers.copy(), {"b": 1, "a": (1.0, "x")}, None, len]
-    assert essence(numbers, {"a": (1.0, "x"), "b": 1}, None, len) == essence(*alike)
+    assert cache_key(numbers, {"a": (1.0, "x"), "b": 1}, None, len) == cache_key(*alike)
     others = [
-        essence(numbers.reshape(2, 3)),
-        essence(numbers.astype("f4")),
-        essence(numbers + 1e-12),
-        essence([1, [2]], 3),
-        essence([1, 2], [3]),
-        essence("1"),
-        essence(1),
-        essence(True),
+        cache_key(numbers.reshape(2, 3)),
+        cache_key(numbers.astype("f4")),
+        cache_key(numbers + 1e-12),
+        cache_key([1, [2]], 3),
+        cache_key([1, 2], [3]),
+        cache_key("1"),
+        cache_key(1),
+        cache_key(True),
     ]
-    assert len({essence(numbers), *others}) == len(others) + 1
+    assert len({cache_key(numbers), *others}) == len(others) + 1
+
+
+def test_cache_keys_are_those_of_earlier_versions():
+    """Or a sequence that an earlier version baked would be baked again as a whole."""
+    lights = [Sun((0, 0.6, -0.8), (1, 2, 3)), Sky((1, 1, 1)), PointLight((0, 1, 2), 3.0)]
+    assert cache_key(lights) == "c972eed024ba28ae0e8dfa01a2ccbeda"
+    plain = {"a": {1, 2}, "b": (None, b"x", 1 + 2j, np.float32(0.1))}, np.arange(6.0), len
+    assert cache_key(plain) == "dfa38b5a44a3f901f75fc8bef6ab435e"
+
+
+def test_a_grid_of_nodes_is_keyed_by_its_values_without_its_empty_space():
+    """Two voxels, 20000 voxels apart along each axis."""
+
+    def key(value, far=20_000):
+        grid = openvdb.FloatGrid()
+        for place, number in ((0, 1.0), (far, value)):
+            grid.getAccessor().setValueOn((place,) * 3, number)
+        return cache_key(Grid("density", made=grid))
+
+    assert key(0.5) == key(0.5)
+    assert len({key(0.5), key(0.25), key(0.5, 19_999)}) == 3
+    assert cache_key(Grid("density", made=openvdb.FloatGrid())) != key(0.5)
 
 
 def test_frames_without_smoke_are_empty_and_the_others_go_on(scene, smoke):

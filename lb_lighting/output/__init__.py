@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From `transport` back into Blender: files, attributes and shaders that show the light."""
+"""From the solver's field to Blender's data: files, attributes and shaders that show the light."""

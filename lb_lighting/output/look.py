@@ -1,71 +1,93 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the shader of a lit volume knows besides its grids. Needs no Blender.
+"""The values that the shader of a lit volume needs besides its grids. Needs no Blender.
 
-Every frame of a sequence brings its own, in the metadata of its file.
+Each frame of a sequence has its own, in the metadata of its file.
 """
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Self
 
+import numpy as np
+
+from ..arrays import Spectrum
 from ..transport.lights.distant import Sun
+from ..transport.lights.lamps import PointLight, SpotLight
 from .vdb import AXES
+
+type Bands = tuple[float, float, float]
+type Beam = Sun | PointLight | SpotLight
 
 
 @dataclass(frozen=True)
 class Look:
     """Values of the shader's inputs.
 
-    sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m, (3,)
-    g      mean cosine of the scattering angle, (3,)
-    lobes  (3,) mean cosine of what `forward_grid`s are scattered to where that was gathered, or
-           None; then the file has each `moment_grid`
-    beams  ({input: value}), of each grid `direct_grid(1)` ... and `forward_grid(1)` ...: of a sun
-           the inputs of `LB Beam` that are its direction; else those of `LB Lamp`
+    sigma_s, sigma_a  scattering and absorption coefficient at density 1, 1/m
+    g      mean cosine of the scattering angle
+    lobes  mean cosine of the light in `forward_grid`, once it has scattered towards the eye, if the
+           light comes from a source iteration; else None. With it the file has all `moment_grid`s
+    beams  ({input: value}), one for each grid `direct_grid(1)`, … and `forward_grid(1)`, …: the
+           direction for `LB Beam` if it is a sun's, else the inputs of `LB Lamp`
     """
 
-    sigma_s: tuple
-    sigma_a: tuple
-    g: tuple
-    lobes: tuple | None
-    beams: tuple
+    sigma_s: Bands
+    sigma_a: Bands
+    g: Bands
+    lobes: Bands | None
+    beams: tuple[dict[str, float | Bands], ...]
 
     @classmethod
-    def of(cls, sigma_s, sigma_a, g=0.0, beams=(), core=0.0, lobes=None):
-        """That of coefficients and lobes that are scalar or (3,).
+    def of(
+        cls,
+        sigma_s: Spectrum,
+        sigma_a: Spectrum,
+        g: Spectrum = 0.0,
+        beams: Sequence[Beam] = (),
+        core: float = 0.0,
+        lobes: Spectrum | None = None,
+    ) -> Self:
+        """The values for coefficients and lobes that are scalar or (3,).
 
-        beams  the `Sun`, `PointLight` or `SpotLight` of each grid of unscattered light
-        core   m, that of the falloff of points and spots: an edge of a voxel
+        beams  the light of each grid of uncollided light
+        core   m, core radius of the falloff of points and spots: one voxel
         """
         return cls(
-            *map(_triple, (sigma_s, sigma_a, g)),
-            None if lobes is None else _triple(lobes),
+            _bands(sigma_s),
+            _bands(sigma_a),
+            _bands(g),
+            None if lobes is None else _bands(lobes),
             tuple(_inputs(beam, core) for beam in beams),
         )
 
     @classmethod
-    def read(cls, text):
-        """What `text` wrote."""
+    def read(cls, text: str) -> Self:
+        """The values that `text` describes; see `Look.text`."""
         values = json.loads(text)
         return cls(**{name: v if name == "beams" else v and tuple(v) for name, v in values.items()})
 
     @property
-    def text(self):
+    def text(self) -> str:
+        """The values as JSON."""
         return json.dumps(asdict(self))
 
 
-def _triple(value):
-    """A spectral value as three bands."""
-    value = [float(v) for v in value] if hasattr(value, "__len__") else [float(value)]
-    return tuple(value * 3 if len(value) == 1 else value)
+def _bands(value: Spectrum) -> Bands:
+    """A value for all bands, or for each, as three bands."""
+    bands = [float(v) for v in np.atleast_1d(value)]
+    red, green, blue = bands * 3 if len(bands) == 1 else bands
+    return red, green, blue
 
 
-def _inputs(beam, core):
+def _inputs(beam: Beam, core: float) -> dict[str, float | Bands]:
+    """{input: value} of the node group that shows a beam."""
     if isinstance(beam, Sun):
         length = math.hypot(*beam.direction)
-        return {a: _triple(v / length) for a, v in zip(AXES, beam.direction, strict=True)}
+        return {a: _bands(v / length) for a, v in zip(AXES, beam.direction, strict=True)}
     return {
-        "Position": _triple(beam.position),
+        "Position": _bands(beam.position),
         "Radius": float(beam.radius),
         "Core": float(core),
         "Peak": float(beam.peak(core)),

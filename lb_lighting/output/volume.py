@@ -1,82 +1,91 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volumes out: the Volume object that shows the light in a file, and where files go."""
+"""The Volume object that shows baked light, and the paths of its files."""
 
 import contextlib
 import os
 import tempfile
 import uuid
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 from mathutils import Matrix
 
+from ..arrays import Floats
 from ..errors import OutputError
-from ..ours import TAG, is_ours
+from ..ours import TAG, has_mark, is_ours
 from .keys import remove_keys
+from .sources import RESULT, forget, identify, sources_shown_by, tie
 from .vdb import is_baked_file
 
-LONGEST_NAME = 48  # letters, of up to 4 bytes; file systems take names of 255 bytes
-LONGEST_PATH = 1023  # bytes that Blender keeps of a path
-RESULT = "lb_lighting_result"  # on a source: the baked Volume object that shows its light
-IDENTITY = "lb_lighting_identity"  # on either: a text of its own, which tells it from its copies
-RETURNED = "lb_lighting_returned"  # on a source: it shows again while its light is in no scene
+MAX_NAME = 48  # letters, of up to 4 bytes; file systems allow names of 255 bytes
+MAX_PATH = 1023  # bytes; the longest path that Blender stores
 APPENDED = "lb_lighting_appended"  # on a baked volume: its file was baked for another .blend
 
 
-def fresh_path(folder, source_name):
-    """A .vdb path in `folder` for the light of the object `source_name`, new at every call.
+def fresh_path(folder: Path | str, source_name: str) -> Path:
+    """A new .vdb path in `folder` for the light of the object `source_name`.
 
-    Blender keeps what it once read from a path until it quits, even when the file is
-    rewritten or deleted; so no bake may use the path of an earlier one.
+    Blender caches what it has read from a path until it quits, even if the file is rewritten or
+    deleted. So no bake may reuse the path of an earlier one.
     """
-    name = bpy.path.clean_name(source_name)[:LONGEST_NAME]
+    name = bpy.path.clean_name(source_name)[:MAX_NAME]
     return Path(folder) / f"{name}_lb_{uuid.uuid4().hex[:8]}.vdb"
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The files of a sequence: one for each frame of the scene.
+    """The files of a sequence, one for each frame of the scene.
 
-    folder  that holds them and nothing else
+    folder  contains these files and nothing else
     """
 
     folder: Path
     first: int
     last: int
 
-    def path(self, frame):
-        """Of the file for a frame; Blender finds the number at its end."""
+    def path(self, frame: int) -> Path:
+        """The file for a frame; Blender finds the frame number at the end of its name."""
         return self.folder / f"frame_{frame:04d}.vdb"
 
     @staticmethod
-    def files(folder):
-        """[path] of all frames in a folder."""
+    def files(folder: Path | str) -> list[Path]:
+        """The files of all frames in a folder."""
         return sorted(Path(folder).glob("frame_*.vdb"))
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[int]:
         return iter(range(self.first, self.last + 1))
 
 
-def fresh_frames_folder(folder, source_name):
-    """A folder for `Frames` in `folder`, new at every call, as `fresh_path` is."""
+def fresh_frames_folder(folder: Path | str, source_name: str) -> Path:
+    """A new folder for `Frames` in `folder`, unique like a `fresh_path`."""
     return fresh_path(folder, source_name).with_suffix("")
 
 
-def frames_folder(scene, sources):
+def frames_folder(scene: bpy.types.Scene, sources: Iterable[bpy.types.Object]) -> Path | None:
     """The folder of the `Frames` that show the light of the objects `sources`, or None."""
     shown = _sequence_of(scene, sources)
     return baked_path(shown).parent if shown else None
 
 
-def show_volume(context, sources, path, frames=None):
+def show_volume(
+    context: bpy.types.Context,
+    sources: Sequence[bpy.types.Object],
+    path: Path | str,
+    frames: Frames | None = None,
+) -> bpy.types.Object:
     """The Volume object that shows the file at `path` as the light of the objects `sources`.
 
-    frames  the `Frames` that the file is one of, which are all shown, or None
-    Sources that had one keep it, and each later bake brings a `fresh_path`; two that had one
-    each now share the first. Call `forget` for those that an older bake had and this has not.
+    frames  the sequence that the file belongs to, all of which is shown, or None
+    Sources that already have a Volume object keep it, and each bake brings a `fresh_path`. If two
+    sources had one each, both now use the first. Call `forget` for sources that only an older bake
+    had.
     """
     scene = context.scene
+    assert scene
+    # Replace the Volume objects of earlier bakes by one.
     before = [source[RESULT] for source in sources if source.get(RESULT)]
     older = [ob for ob in baked_volumes(scene) if ob in before]
     for source in sources:
@@ -87,155 +96,136 @@ def show_volume(context, sources, path, frames=None):
         remove_baked(other)
     for source in sources:
         tie(source, ob)
-    _part_from_copies(ob)
+    _unshare(ob)
     ob.pop(APPENDED, None)
-    ob.data.filepath = stored_path(path)
-    ob.data.is_sequence = frames is not None
-    if frames is not None:
-        ob.data.frame_start, ob.data.frame_duration = frames.first, frames.last - frames.first + 1
-        ob.data.frame_offset = frames.first - 1  # the number of a file is that of its frame
-        ob.data.sequence_mode = "EXTEND"  # before and after, the nearest frame stays
+    # Show the file, at the world's origin.
+    _show_file(_volume_data(ob), path, frames)
     ob.parent = None
     ob.matrix_world = Matrix()
     return ob
 
 
-def shows(scene, sources, frames):
-    """Whether the light of the objects `sources` is shown by just these `Frames`."""
+def _show_file(volume: bpy.types.Volume, path: Path | str, frames: Frames | None) -> None:
+    volume.filepath = stored_path(path)
+    volume.is_sequence = frames is not None
+    if frames is not None:
+        volume.frame_start, volume.frame_duration = frames.first, frames.last - frames.first + 1
+        volume.frame_offset = frames.first - 1  # files are numbered by the frames of the scene
+        volume.sequence_mode = "EXTEND"  # before and after, the nearest frame stays
+
+
+def shows(scene: bpy.types.Scene, sources: Iterable[bpy.types.Object], frames: Frames) -> bool:
+    """Whether exactly these `Frames` show the light of the objects `sources`."""
     shown = _sequence_of(scene, sources)
     if shown is None or baked_path(shown).parent != frames.folder:
         return False
-    first, count = shown.data.frame_start, shown.data.frame_duration
+    volume = _volume_data(shown)
+    first, count = volume.frame_start, volume.frame_duration
     return (first, first + count - 1) == (frames.first, frames.last)
 
 
-def _sequence_of(scene, sources):
+def _sequence_of(
+    scene: bpy.types.Scene, sources: Iterable[bpy.types.Object]
+) -> bpy.types.Object | None:
     """The baked Volume object that shows a sequence of the light of `sources`, or None.
 
-    Some of these may have been left out of it.
+    The sequence may lack some of the sources.
     """
     for ob in baked_volumes(scene):
-        lit = sources_of(scene, ob)
-        if ob.data.is_sequence and lit and set(lit) <= set(sources):
+        lit = sources_shown_by(scene, ob)
+        if _volume_data(ob).is_sequence and lit and set(lit) <= set(sources):
             return ob
     return None
 
 
-def follow(ob, source, place):
-    """Let a baked volume `ob` go where its `source` goes, which was at `place` when it was lit.
+def follow(ob: bpy.types.Object, source: bpy.types.Object, place: Floats) -> None:
+    """Make a baked volume `ob` move with its `source`.
 
-    place  (4, 4), to world space
+    place  (4, 4), the source's space to world space when it was lit
     """
-    place = Matrix(place)
-    if place.determinant():
+    matrix = Matrix(place.tolist())
+    if matrix.determinant():
         ob.parent = source
-        ob.matrix_parent_inverse = place.inverted()
+        ob.matrix_parent_inverse = matrix.inverted()
 
 
-def baked_volumes(scene):
+def is_baked(ob: bpy.types.Object) -> bool:
+    """True for a Volume object that `show_volume` made."""
+    return ob.type == "VOLUME" and is_ours(ob)
+
+
+def baked_volumes(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The Volume objects in `scene` that `show_volume` made."""
-    return [ob for ob in scene.objects if ob.type == "VOLUME" and is_ours(ob)]
+    return [ob for ob in scene.objects if is_baked(ob)]
 
 
-def sources_of(scene, baked):
-    """The objects in `scene` whose light the Volume object `baked` shows."""
-    return [ob for ob in scene.objects if ob.get(RESULT) == baked]
+def is_sequence(ob: bpy.types.Object) -> bool:
+    """Whether a baked Volume object shows a sequence of files."""
+    return _volume_data(ob).is_sequence
 
 
-def lost_sources(scene):
-    """The objects in `scene` that were lit, and whose light has since been removed."""
-    sources, scenes = [ob for ob in scene.objects if RESULT in ob], scene_objects()
-    return [ob for ob in sources if is_lost(ob, scenes)]
+def baked_path(ob: bpy.types.Object) -> Path:
+    """The path of the file that a baked Volume object shows."""
+    return volume_path(_volume_data(ob))
 
 
-def scene_objects():
-    """[set of objects] of each scene of the file."""
-    return [set(scene.objects) for scene in bpy.data.scenes]
-
-
-def is_lost(source, scenes):
-    """True for a source that is in one of `scenes`, but nowhere together with its baked volume.
-
-    scenes  what `scene_objects` returns
-    Blender keeps a deleted object in the file as long as a source points to it.
-    """
-    own = [objects for objects in scenes if source in objects]
-    return bool(own) and not any(source[RESULT] in objects for objects in own)
-
-
-def tie(source, baked):
-    """The Volume object `baked` shows the light of the object `source` from now on."""
-    source[RESULT] = baked
-    identify(source)
-
-
-def identify(ob, anew=False):
-    """Give a source or a baked volume its identity, where it has none or is to have it `anew`."""
-    if anew or IDENTITY not in ob:
-        ob[IDENTITY] = uuid.uuid4().hex
-
-
-def forget(source):
-    """The object `source` has no light any more."""
-    for mark in (RESULT, IDENTITY, RETURNED):
-        source.pop(mark, None)
-
-
-def baked_path(ob):
-    """The path of the file that the baked Volume object shows."""
-    return volume_path(ob.data)
-
-
-def volume_path(volume):
-    """The path of the file that the datablock `volume` shows; of a sequence, of one frame."""
+def volume_path(volume: bpy.types.Volume) -> Path:
+    """The path of the file that the data-block `volume` shows; of a sequence, of one frame."""
     return Path(os.path.normpath(bpy.path.abspath(volume.filepath, library=volume.library)))
 
 
-def is_foreign(ob):
-    """True for a baked volume whose file was baked for another .blend, and is its to delete."""
-    return APPENDED in ob or not ob.data.is_editable
+def _volume_data(ob: bpy.types.Object) -> bpy.types.Volume:
+    assert isinstance(ob.data, bpy.types.Volume)
+    return ob.data
 
 
-def remove_baked(ob):
-    """Remove a Volume object that `show_volume` made, with its datablock and our materials."""
-    volume = ob.data
+def is_foreign(ob: bpy.types.Object) -> bool:
+    """True for a baked volume whose file belongs to another .blend, which alone may delete it."""
+    return has_mark(ob, APPENDED) or not _volume_data(ob).is_editable
+
+
+def remove_baked(ob: bpy.types.Object) -> None:
+    """Remove a Volume object that `show_volume` made, with its data-block and our materials."""
+    volume = _volume_data(ob)
     materials = [material for material in volume.materials if material and is_ours(material)]
     for material in materials:
-        remove_keys(material.node_tree)
+        if material.node_tree:
+            remove_keys(material.node_tree)
     bpy.data.objects.remove(ob)
-    # The user may have put our data to use elsewhere; then it stays.
-    for block in (volume, *materials):
+    # The user may use our data elsewhere; then it stays.
+    blocks: list[bpy.types.ID] = [volume, *materials]
+    for block in blocks:
         if not block.users:
             bpy.data.batch_remove([block])
 
 
-def remove_unused(baked):
+def remove_unused(baked: Iterable[bpy.types.Object]) -> None:
     """Remove those of the Volume objects `baked` that nothing uses, not even a source."""
     for ob in dict.fromkeys(baked):
         if is_ours(ob) and not ob.users:
             remove_baked(ob)
 
 
-def _part_from_copies(ob):
-    """Leave the data and materials that copies of the baked Volume object `ob` share to them, and
-    those that are linked to their file.
+def _unshare(ob: bpy.types.Object) -> None:
+    """Give the baked Volume object `ob` data and materials of its own where they are shared with
+    copies, or linked from another file.
 
-    Copies are the user's, and go on showing what they show now.
+    Copies belong to the user, and keep showing what they show now.
     """
-    if _is_shared(ob.data):
-        ob.data = ob.data.copy()
-    materials = ob.data.materials
+    if _is_shared(_volume_data(ob)):
+        ob.data = _volume_data(ob).copy()
+    materials: Any = _volume_data(ob).materials
     for index, material in enumerate(materials):
         if material and is_ours(material) and _is_shared(material):
             materials[index] = material.copy()
 
 
-def _is_shared(block):
+def _is_shared(block: bpy.types.ID) -> bool:
     return block.users - block.use_fake_user > 1 or not block.is_editable
 
 
-def delete_baked_file(path):
-    """Delete the file at `path` if `write_vdb` wrote it; OutputError if that cannot be done."""
+def delete_baked_file(path: Path) -> None:
+    """Delete the file at `path` if `write_vdb` wrote it. Raises OutputError if that fails."""
     if not is_baked_file(path):
         return
     try:
@@ -244,23 +234,23 @@ def delete_baked_file(path):
         raise OutputError(f"{path} could not be deleted; make its folder writable.") from error
 
 
-def default_folder():
+def default_folder() -> Path:
     """The folder for results: the .blend's, or `unsaved_folder` while the file is unsaved."""
     if bpy.data.filepath:
         return Path(bpy.data.filepath).parent
-    with contextlib.suppress(OSError):  # `require_writable` says that it is not there
+    with contextlib.suppress(OSError):  # `require_writable` reports it
         unsaved_folder().mkdir(parents=True, exist_ok=True)
     return unsaved_folder()
 
 
-def unsaved_folder():
-    """The folder for results of files that are not saved yet, which outlives the extension."""
+def unsaved_folder() -> Path:
+    """The folder for results of unsaved files, which remains if the extension is removed."""
     return Path(bpy.utils.user_resource("DATAFILES", path="lb_lighting"))
 
 
-def require_writable(folder):
-    """OutputError, before any work, for a folder that is not there or takes no files."""
-    if len(os.fsencode(fresh_path(folder, LONGEST_NAME * "x"))) > LONGEST_PATH:
+def require_writable(folder: Path | str) -> None:
+    """Raise OutputError, before any work, for a folder that is missing or takes no files."""
+    if len(os.fsencode(fresh_path(folder, MAX_NAME * "x"))) > MAX_PATH:
         raise OutputError(
             f"The folder {str(folder)[:40]}... has too long a path for Blender; choose another."
         )
@@ -275,15 +265,15 @@ def require_writable(folder):
         ) from error
 
 
-def stored_path(path):
-    """`path` as the .blend keeps it: relative to it, unless it is unsaved or on another drive."""
+def stored_path(path: Path | str) -> str:
+    """`path` as the .blend stores it: relative, unless the file is unsaved or on another drive."""
     try:
         return bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
     except ValueError:
         return str(path)
 
 
-def _new_volume(scene, source_name):
+def _new_volume(scene: bpy.types.Scene, source_name: str) -> bpy.types.Object:
     volume = bpy.data.volumes.new(f"LB {source_name}")
     ob = bpy.data.objects.new(volume.name, volume)
     volume[TAG] = ob[TAG] = "baked volume"

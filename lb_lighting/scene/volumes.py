@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import openvdb
 
 from ..arrays import Floats, Integers
-from ..cache_key import content_of_file, content_of_grid
+from ..cache_key import content_of_blocks, content_of_file
 from ..errors import EmptyError, SceneError
 from ..transport.medium import Domain
 from .grids.resample import Box
@@ -44,11 +45,11 @@ class Grid:
             ) from error
 
     @property
-    def essence(self) -> tuple[object, ...]:
+    def cache_key(self) -> tuple[object, ...]:
         """What the grid contains, wherever its file lies."""
         if self.made is None:
             return self.name, content_of_file(self.path)
-        return self.name, _index_to_object(self.made), content_of_grid(self.made)
+        return self.name, _index_to_object(self.made), content_of_blocks(_blocks(self.made))
 
 
 def world_bounds(grid: Any, matrix_world: Floats) -> Box:
@@ -84,6 +85,14 @@ def _active_box(grid: Any) -> tuple[Integers, Integers]:
         raise EmptyError(f"The grid '{grid.name}' is empty; choose one with active voxels.")
     lower, upper = map(np.array, grid.evalActiveVoxelBoundingBox())
     return lower, upper
+
+
+def _blocks(grid: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the active box of `grid`, then (first voxel, values) of each block with values."""
+    if grid.activeVoxelCount():
+        cells = cells_of(grid, np.eye(4))
+        yield cells.lower, cells.upper
+        yield from cells.blocks(cells.lower, cells.upper)
 
 
 def _index_to_object(grid: Any) -> Floats:

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from .. import exchange
-from ..cache_key import essence
+from ..cache_key import cache_key
 from ..errors import LightingError, SceneError
 from ..options import Options
 from ..output.ambient import ambient_grids
@@ -18,9 +18,9 @@ from ..output.vdb import (
     EMISSION_GRID,
     leftovers,
     new_token,
-    volume_light,
     write_vdb,
 )
+from ..output.volume_light import volume_light
 from ..scene.mixture import mixture, occluders, with_shadows
 from ..transport.device import troubles
 from ..transport.field import Report
@@ -38,10 +38,10 @@ from ..transport.solver import Settings, require_memory, solve
 COARSEST = 2  # voxels along its longest edge that a source should have
 SMALLEST_VOXEL = 2e-5  # m: OpenVDB takes the transform of much smaller ones for singular
 FIELD = "field"
-# In the file's metadata: what it was made of, see `Light.essences`; the settings that it was solved
-# by; how often its light was gathered; whether surfaces show all light; which sources a modifier is
-# to light; its `Look`.
-ESSENCE, LIGHTS, SOURCES = "essence", "essence_lights", "essence_sources"
+# In the file's metadata: what it was made of, see `Light.cache_keys`; the settings that it was
+# solved by; how often its light was gathered; whether surfaces show all light; which sources a
+# modifier is to light; its `Look`.
+CACHE_KEY, LIGHTS, SOURCES = "essence", "essence_lights", "essence_sources"
 SETTINGS, GATHERED, WHOLE, READERS, LOOK = "settings", "gathered", "whole", "readers", "look"
 _SPHERE = np.float32(4 * np.pi)  # sr
 # Where on its way a bake is when the plan begins, the solve begins, and when it ends.
@@ -171,19 +171,19 @@ class Light:
         """The files that are there only in part, or in vain, where the task does not end well."""
         return leftovers(self.path, self.token)
 
-    def essences(self):
+    def cache_keys(self):
         """{name: text}: what the result depends on, by what the user would change."""
         made = self.sources, self.box, self.surfaces, self.readers
         return {
-            ESSENCE: self.options.essence,
-            LIGHTS: essence(self.lights),
-            SOURCES: essence(*made),
+            CACHE_KEY: self.options.cache_key,
+            LIGHTS: cache_key(self.lights),
+            SOURCES: cache_key(*made),
         }
 
     def run(self, tell, folder):
         """A `Lit`; the `Field` goes to the file FIELD in `folder`."""
         tell(stage="Filling voxels", fraction=0.0)
-        made_of = self.essences()
+        made_of = self.cache_keys()
         problem = self.problem()
         settings, planned = self._settings(problem, tell)
         field = self._solve(problem, settings, tell)
@@ -430,7 +430,7 @@ class Light:
             name: " ".join(f"{value:g}" for value in getattr(medium, name))
             for name in ("sigma_s", "sigma_a", "g")
         }
-        spent = {"seconds": sum(report.seconds.values()), ESSENCE: self.options.essence}
+        spent = {"seconds": sum(report.seconds.values()), CACHE_KEY: self.options.cache_key}
         return {**asdict(self.options), **told, **spent, **coefficients, **self.facts}
 
 

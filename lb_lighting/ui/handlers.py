@@ -4,7 +4,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from .. import saving, ties
+from ..output import saving, ties
 from . import running
 
 
@@ -30,18 +30,18 @@ def _mend_appended(context):
 @persistent
 def _before_save(path, _none):
     _mend()
-    for note in saving.bring_along(path):
+    for note in saving.before_save(path):
         running.tell(note)
 
 
 @persistent
 def _after_save(path, _none):
-    saving.settle(path)
+    saving.after_save(path)
 
 
 @persistent
 def _after_failed_save(_path, _none):
-    saving.take_back()
+    saving.restore_paths()
 
 
 _HANDLERS = {

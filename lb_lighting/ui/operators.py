@@ -6,7 +6,7 @@ from bpy.props import BoolProperty
 
 from .. import bake
 from ..errors import LightingError
-from ..output import shading_volumes
+from ..output import render_settings
 from ..scene.medium_choice import CUSTOM
 from ..sequence import Sequence
 from . import running
@@ -225,17 +225,17 @@ class LB_OT_use(bpy.types.Operator):  # noqa: N801 - Blender's convention
         if not hasattr(context.scene, "cycles"):
             cls.poll_message_set("Enable the add-on Cycles")
             return False
-        if not (shading_volumes.uses_light(context.scene) or bake.is_lit(context.scene)):
+        if not (render_settings.uses_light(context.scene) or bake.is_lit(context.scene)):
             cls.poll_message_set("Bake LB light first")
             return False
         return True
 
     def execute(self, context):
-        if shading_volumes.uses_light(context.scene):
-            shading_volumes.leave_light(context.scene)
+        if render_settings.uses_light(context.scene):
+            render_settings.leave_light(context.scene)
             self.report({"INFO"}, "Render settings are as they were")
         else:
-            shading_volumes.use_light(context.scene)
+            render_settings.use_light(context.scene)
             self.report({"INFO"}, "Render settings are those for LB light")
         return {"FINISHED"}
 

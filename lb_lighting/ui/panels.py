@@ -5,7 +5,7 @@ import textwrap
 
 import bpy
 
-from ..output.shading_volumes import uses_light
+from ..output.render_settings import uses_light
 from ..scene.medium_choice import CUSTOM, FROM_MATERIAL
 from ..scene.opening import SURFACE_TYPES
 from . import running

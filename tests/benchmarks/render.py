@@ -26,7 +26,7 @@ bpy.utils.expose_bundled_modules()
 import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
-from lb_lighting.output import shading_volumes  # noqa: E402
+from lb_lighting.output import render_settings  # noqa: E402
 from tests.benchmarks import crowns, endtoend, pictures, shots  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
 from tests.setup import peers  # noqa: E402
@@ -134,7 +134,7 @@ def baked(shot, folder, **changes):
         chosen = {"quality": "CUSTOM"} | shot.options | changes
         options = bake.Options(folder=str(folder), **chosen)
         outcome = bake.bake(bpy.context, objects, options)
-        shading_volumes.use_light(bpy.context.scene)
+        render_settings.use_light(bpy.context.scene)
     return meter, outcome
 
 

@@ -75,19 +75,19 @@ def instance(ob):
 @pytest.mark.parametrize("engine", ["BLENDER_EEVEE", "CYCLES"])
 @pytest.mark.parametrize("kind", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"])
 @pytest.mark.parametrize("instanced", [False, True])
-@pytest.mark.parametrize("whole", [False, True], ids=["dark", "sky"])
-def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced, whole):
+@pytest.mark.parametrize("all_light", [False, True], ids=["dark", "sky"])
+def test_a_modifier_lights_each_side(lb, tmp_path, engine, kind, instanced, all_light):
     """Under a sky, too, whose own light is not added to what is all light."""
     ob = square(white(kind))
-    if whole:
+    if all_light:
         shine(0.5)
-    part(lb, "output.shading_surfaces").wire_ambient(ob.active_material, whole=whole)
+    part(lb, "output.shading_surfaces").wire_ambient(ob.active_material, all_light=all_light)
     lit = instance(ob) if instanced else ob
-    part(lb, "output.modifier").add_modifier(lit, baked(lb, tmp_path / "a.vdb"), whole)
+    part(lb, "output.modifier").add_modifier(lit, baked(lb, tmp_path / "a.vdb"), all_light)
     camera(target=(0, 0, 0), width=1)
     # The flux goes to the seen side of what reflects, and leaves that of what lets through.
     sign = 1 if kind == "ShaderNodeBsdfDiffuse" else -1
-    picture = render(tmp_path / f"{engine}_{kind}_{instanced}_{whole}.exr", engine, size=16)
+    picture = render(tmp_path / f"{engine}_{kind}_{instanced}_{all_light}.exr", engine, size=16)
     expected = MEAN + sign * FLUX / (2 * np.pi)
     assert picture[8, 8, :3] == pytest.approx(expected, rel=0.01)
 

@@ -22,7 +22,7 @@ DOMAIN = Domain((-4.0, -4.0, -4.0), 0.5, (16, 16, 16))
 
 
 def linear_field():
-    """x + 2 y + 3 z + 30, and its double and triple: trilinear interpolation has it exactly."""
+    """x + 2 y + 3 z + 30, its double and its triple, which trilinear interpolation reproduces."""
     field = DOMAIN.centers() @ (1, 2, 3) + 30
     return np.stack([field, 2 * field, 3 * field])
 
@@ -65,7 +65,7 @@ def field_of(fluence, flux=None):
 
 
 def write(objects, radiance=None, **options):
-    """Light from all sides, of that radiance: both sides have it."""
+    """Light of that radiance from all sides reaches both sides."""
     radiance = linear_field() if radiance is None else radiance
     write_field(objects, field_of(4 * np.pi * radiance), **options)
 
@@ -111,7 +111,7 @@ NORMALS = np.array([(0, 0, 1.0), (0, 0, -1), (1, 0, 0), (0, 0.6, -0.8)])
 
 @pytest.mark.parametrize("radiance", [lambda d: 1 + 0 * d[2], lambda d: 1 + 0.7 * d[2]])
 def test_irradiance_is_that_of_radiance_linear_in_direction(radiance):
-    """Against the integral over the hemisphere; d is the way the light travels."""
+    """Against the integral over the hemisphere; d is the direction in which light travels."""
     height = (np.arange(400) + 0.5) / 200 - 1
     turn = 2 * np.pi * np.arange(64) / 64
     d = np.stack([
@@ -126,9 +126,9 @@ def test_irradiance_is_that_of_radiance_linear_in_direction(radiance):
         (np.maximum(0, sign * onto) * shine).sum(axis=(1, 2)) * solid_angle for sign in (-1, 1)
     )
     field = field_of(np.full((1, *DOMAIN.shape), fluence), flux[None])
-    found = irradiance(field, np.zeros((4, 3)), NORMALS)
-    assert found[0][:, 0] == pytest.approx(front, rel=1e-3)
-    assert found[1][:, 0] == pytest.approx(back, rel=1e-3)
+    sides = irradiance(field, np.zeros((4, 3)), NORMALS)
+    assert sides[0][:, 0] == pytest.approx(front, rel=1e-3)
+    assert sides[1][:, 0] == pytest.approx(back, rel=1e-3)
 
 
 def test_irradiance_is_not_negative():
@@ -250,10 +250,10 @@ def test_what_is_not_a_mesh_is_refused_before_anything_is_written():
 
 
 def test_a_mesh_that_was_changed_meanwhile_is_refused_before_anything_is_written():
-    whole, cut = add(triangle()), add(triangle(), "cut")
+    uncut, cut = add(triangle()), add(triangle(), "cut")
     with pytest.raises(OutputError, match=r"^The mesh of cut was changed while it was lit; bake"):
-        write_ambient([whole, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
-    assert AMBIENT_ATTRIBUTE not in whole.data.attributes
+        write_ambient([uncut, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
+    assert AMBIENT_ATTRIBUTE not in uncut.data.attributes
 
 
 def test_edit_mode_is_refused():

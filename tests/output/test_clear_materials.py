@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Use LB Light keeps the bounces of transmission that glass and water need, and no others."""
+"""Use LB Light keeps the transmission bounces that glass and water need, and no others."""
 
 import bpy
 import pytest
 
-from lb_lighting.output.shading_volumes import leave_light, use_light
+from lb_lighting.output.render_settings import leave_light, use_light
 from tests import scenery
+from tests.output.graphs import user_group
 from tests.output.rendering import surface
-from tests.output.test_shading_volumes import lit_object, user_group
+from tests.output.test_lit_objects import lit_object
 
 
 def water(weight=1.0):
@@ -33,7 +34,7 @@ def in_a_group(kind):
 
 
 def grouped_water():
-    """The group's own input says that it is clear."""
+    """The group's own input makes it clear."""
     material = in_a_group("ShaderNodeBsdfPrincipled")
     node = next(n for n in material.node_tree.nodes if n.type == "GROUP")
     group = node.node_tree

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Volumes that only shine, or only absorb, baked and held to Cycles."""
+"""Volumes that only emit, or only absorb, compared with Cycles."""
 
 import bpy
 import numpy as np
@@ -49,9 +49,9 @@ def test_the_picture_is_that_of_cycles(build, scene, tmp_path):
     expected = render(scene, tmp_path / "cycles.exr", 16, 16)
     outcome = scenery.bake_light(ob, resolution=12)
     assert not any("stands in" in note for note in outcome.notes)
-    found = render(scene, tmp_path / "ours.exr", 16, 16)
-    assert found.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.03)
-    assert np.linalg.norm(found - expected) / np.linalg.norm(expected) < 0.05
+    ours = render(scene, tmp_path / "ours.exr", 16, 16)
+    assert ours.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.03)
+    assert np.linalg.norm(ours - expected) / np.linalg.norm(expected) < 0.05
 
 
 def test_a_volume_of_nothing_is_refused(scene, tmp_path):
@@ -62,7 +62,7 @@ def test_a_volume_of_nothing_is_refused(scene, tmp_path):
 
 
 def test_leaves_are_lit_by_what_only_shines(scene, tmp_path):
-    """Without any sun, and without anything that scatters but the leaves."""
+    """There is no sun, and only the leaves scatter."""
     bpy.data.objects.remove(bpy.data.objects["sun"])
     leaves, glow = scenery.add_leaves(), scenery.add_fog(tmp_path, material=False)
     material = make_material()

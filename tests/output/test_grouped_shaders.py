@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shaders in node groups show their light as if they were in the material, and are given back."""
+"""Shaders in node groups show light as they do in the material itself, and are restored."""
 
 import bpy
 import numpy as np
@@ -30,7 +30,7 @@ def put(tree, group):
 
 
 def material_of(group, name="leaf"):
-    """A material that shows nothing but a node group of the user."""
+    """A material that shows only a node group of the user."""
     material = bpy.data.materials.new(name)
     tree = material.node_tree
     tree.nodes.remove(tree.nodes["Principled BSDF"])
@@ -39,7 +39,7 @@ def material_of(group, name="leaf"):
 
 
 def dark_leaf(tree):
-    """The socket of a dark closure that a checker cuts holes into."""
+    """The socket of a dark closure with holes in a checker pattern."""
     shader, checker = (
         tree.nodes.new("ShaderNodeBsdfPrincipled"),
         tree.nodes.new("ShaderNodeTexChecker"),
@@ -52,7 +52,7 @@ def dark_leaf(tree):
 
 
 def mixed_leaf(tree):
-    """A socket of two closures, each of its own colour and side."""
+    """The socket of two closures, which differ in colour and side."""
     mix = tree.nodes.new("ShaderNodeMixShader")
     mix.inputs[0].default_value = 0.3
     for kind, color, target in (
@@ -66,14 +66,14 @@ def mixed_leaf(tree):
 
 
 def muted_mix(tree):
-    """A socket of a mix that is switched off: its first closure goes straight through."""
+    """The socket of a muted mix, which passes on its first closure."""
     socket = mixed_leaf(tree)
     socket.node.mute = True
     return socket
 
 
 def muted_closure(tree):
-    """A socket of a mix of a closure with one that is switched off."""
+    """The socket of a mix of a closure and a muted one."""
     socket = mixed_leaf(tree)
     socket.node.inputs[2].links[0].from_node.mute = True
     return socket
@@ -95,7 +95,7 @@ def grouped(leaf):
 
 
 def nested(leaf):
-    """A group in a group, behind a second, switched-off output."""
+    """A group in a group, with a second, inactive output."""
     inner, output = new_group("Inner")
     inner.links.new(leaf(inner), output.inputs[0])
     outer, output = new_group("Outer")
@@ -107,7 +107,7 @@ def nested(leaf):
 
 
 def through(leaf):
-    """A group of no closure of its own that hands on the one that comes in."""
+    """A group without closures, which passes on its input."""
     group, output = new_group("Through")
     group.interface.new_socket("Shader", in_out="INPUT", socket_type="NodeSocketShader")
     inside = group.nodes.new("NodeGroupInput")
@@ -119,7 +119,7 @@ def through(leaf):
 
 
 def switched_off(leaf):
-    """A group of a white closure that is muted, so that what comes in goes straight through."""
+    """A group with a muted white closure, which passes on its input."""
     group, output = new_group("White")
     group.interface.new_socket("Shader", in_out="INPUT", socket_type="NodeSocketShader")
     group.links.new(group.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], output.inputs[0])
@@ -130,21 +130,21 @@ def switched_off(leaf):
     return material
 
 
-def picture(tmp_path, material, whole=False):
-    """What a plane with `material` shows of LIGHT on its front and half of it on its back.
+def picture(tmp_path, material, all_light=False):
+    """The radiance of a plane with `material`, LIGHT on its front and half of it on its back.
 
-    whole  whether that is all light; then there is a white sky, too"""
+    all_light  whether that is all light; then there is also a white sky"""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = dark_scene((0, 0, 10), (0, 0, 0), width=1)
-    if whole:
+    if all_light:
         scene.world = bpy.data.worlds.new("sky")
         scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
     ob = plane(0, 2, material())
     values = np.ones((2, 4, 4), np.float32)
     values[..., :3] = LIGHT
     values[1, :, :3] /= 2
-    write_ambient([ob], values[None], whole)
-    wire_ambient(ob.active_material, whole=whole)
+    write_ambient([ob], values[None], all_light)
+    wire_ambient(ob.active_material, all_light=all_light)
     return render(scene, tmp_path / "a.exr", 48, 16)
 
 
@@ -164,7 +164,7 @@ def test_a_group_looks_as_its_closures_do(tmp_path, leaf):
 @pytest.mark.parametrize("way", WAYS)
 def test_where_a_group_shows_all_light_it_shows_none_of_the_skys_again(tmp_path, way):
     expected = picture(tmp_path, lambda: direct(mixed_leaf))
-    assert picture(tmp_path, lambda: way(mixed_leaf), whole=True) == pytest.approx(expected)
+    assert picture(tmp_path, lambda: way(mixed_leaf), all_light=True) == pytest.approx(expected)
 
 
 def test_holes_in_a_leaf_of_a_group_stay_holes(tmp_path):
@@ -222,12 +222,12 @@ def test_each_strength_has_its_own_copy(tmp_path):
     assert picture(tmp_path, first).mean(axis=(0, 1)) == pytest.approx(LIGHT, rel=0.01)
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("all_light", [False, True])
 @pytest.mark.parametrize("way", WAYS)
-def test_a_lit_group_is_still_read_as_the_same_leaf(way, whole):
+def test_a_lit_group_is_still_read_as_the_same_leaf(way, all_light):
     material = way(mixed_leaf)
     before = leaf_optics(material)
-    wire_ambient(material, whole=whole)
+    wire_ambient(material, all_light=all_light)
     assert leaf_optics(material) == before
     assert hindrance([material]) is None
 
@@ -246,7 +246,7 @@ def test_metal_in_a_group_hinders_that_all_light_is_shown(metallic):
 
 @pytest.fixture
 def plants(scene):
-    """Two plants of two materials that share nested groups; scene settings of a quick bake."""
+    """Two plants whose materials share nested groups; the scene is set up for a quick bake."""
     scene.lb_lighting.resolution = 10
     nested(mixed_leaf).name = "first"
     outer = bpy.data.node_groups["Outer"]
@@ -275,7 +275,7 @@ def test_clear_gives_the_groups_back(plants):
 
 def test_the_users_groups_stay_as_they_are(plants):
     def groups():
-        """All that is known of them but how many use them."""
+        """Everything about them except their number of users."""
         return [
             {name: fact for name, fact in facts.items() if name != "users"}
             for key, facts in snapshot().items()
@@ -288,7 +288,7 @@ def test_the_users_groups_stay_as_they_are(plants):
 
 
 def test_a_second_bake_shows_what_the_group_is_now(plants):
-    """In all materials that show the group, though only one of the plants is lit anew."""
+    """In all materials that show the group, although only one plant is baked again."""
     bake_light(*plants)
     inner = bpy.data.node_groups["Inner"]
     inner.nodes["Diffuse BSDF"].inputs["Color"].default_value = (0.5, 0.4, 0.3, 1)
@@ -338,7 +338,7 @@ def test_a_linked_group_is_lit_and_given_back(tmp_path):
 
 def test_where_the_users_group_is_gone_the_copy_becomes_the_users():
     material = nested(dark_leaf)
-    wire_ambient(material, whole=True)
+    wire_ambient(material, all_light=True)
     for name in ("Inner", "Outer"):
         bpy.data.node_groups.remove(bpy.data.node_groups[name])
     unwire_ambient(material)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Each kind of light on a small cloud: our picture is as bright as that of Cycles alone.
+"""Each kind of light on a small cloud: our picture is as bright as the picture of Cycles alone.
 
 Cycles follows light through 64 scatterings; ours is what a bake of the scene shows, at Strength 1
 and without any other factor. Both pictures are of the same camera, and linear.
@@ -13,7 +13,7 @@ import openvdb
 import pytest
 from mathutils import Vector
 
-from lb_lighting.output.shading_volumes import restore_scene
+from lb_lighting.output.render_settings import restore_scene
 from tests import scenery
 from tests.output.rendering import dark_scene, render, silent_stdout
 from tests.scene.lights.test_lamps import add_environment, add_mapping
@@ -21,15 +21,15 @@ from tests.scene.lights.test_lamps import add_environment, add_mapping
 EDGE = 16  # voxels of the cloud, 2 m
 EYE, WIDTH = (0, -8, 4), 2.4  # m, of the camera
 INSIDE = (0.1, 0.05, -0.1)  # m, a place in the cloud
-LIMIT = 0.05  # by which a picture's mean may differ
-# Light of an area counts as a lobe about its mean direction, with all that is scattered: measured
-# 3 % too dark, and 8 % where slats make it a beam.
+LIMIT = 0.05  # relative error of a picture's mean
+# The light of an area is one lobe about its mean direction, together with scattered light. It was
+# measured 3 % too dark, and 8 % where slats make a beam of it.
 LIMIT_OF_AREAS = 0.1
-# Where light scatters forwards many times in voxels as thick as 2.5 free paths: measured 9 % too
-# dark with the sun on our side, and 15 % without what is gathered.
+# Light that scatters forwards many times in voxels as thick as 2.5 free paths was measured 9 % too
+# dark with the sun on our side, and 15 % without the source iteration.
 LIMIT_FORWARDS = 0.1
-LIMIT_OF_DRAFTS = 0.1  # the error that they are planned for
-# Where a sun shines on a dense cloud that scatters forwards.
+LIMIT_OF_DRAFTS = 0.1  # their error target
+# Positions of a sun that shines on a dense cloud that scatters forwards.
 FORWARD = {"on our side": (1, -2, 3), "behind": (-1, 6, 2)}
 DENSE = {"extinction": 20.0, "albedo": 0.98, "g": 0.85}
 
@@ -45,7 +45,7 @@ def cloud():
 def add_cloud(folder, extinction=5.0, albedo=0.9, g=0.4, around=0, **grids):
     """The cloud as a Volume, with further `grids` of its size; extinction in 1/m at density 1.
 
-    around  voxels about it with as good as nothing in them, as the domain of a simulation has
+    around  nearly empty voxels around it, as in the domain of a simulation
     """
     path, written = folder / "cloud.vdb", []
     for name, values in {"density": cloud(), **grids}.items():
@@ -65,7 +65,7 @@ def add_cloud(folder, extinction=5.0, albedo=0.9, g=0.4, around=0, **grids):
 
 
 def add_lamp(kind, place, **settings):
-    """One that shines on the cloud."""
+    """A lamp that shines on the cloud."""
     lamp = bpy.data.lights.new(kind, kind)
     for name, value in settings.items():
         setattr(lamp, name, value)
@@ -100,7 +100,7 @@ def even_world():
 
 
 def panorama():
-    """Dark ground, a sky that brightens to one side, a sun in it; turned by a Mapping."""
+    """Dark ground, a sky that is brighter on one side, and a sun in it, rotated by a Mapping."""
     row, column = np.mgrid[:64, :128] / 64
     sky = (row > 0.5) * (1 + 0.5 * np.sin(np.pi * column)) + 0.05
     pixels = sky[..., None].repeat(3, axis=2)
@@ -109,10 +109,10 @@ def panorama():
 
 
 def world(pixels):
-    found = bpy.context.scene.world = bpy.data.worlds.new("world")
-    found.cycles_visibility.camera = False
+    world = bpy.context.scene.world = bpy.data.worlds.new("world")
+    world.cycles_visibility.camera = False
     alpha = np.ones((*pixels.shape[:2], 1))
-    return add_environment(found, np.concatenate((pixels, alpha), axis=2))
+    return add_environment(world, np.concatenate((pixels, alpha), axis=2))
 
 
 LIGHTS = [sun, point, spot, area, disk_with_slats, even_world, panorama]
@@ -148,7 +148,10 @@ FIRES = {
 
 
 def pictures(folder, ob, mode="REPLACE", size=16, samples=64, margin=4, **options):
-    """Cycles' picture of the scene, and ours, whose voxels are `margin` more than the cloud's."""
+    """Cycles' picture of the scene, ours, and the outcome of the bake.
+
+    margin  voxels of the bake in addition to the cloud's
+    """
     scene = bpy.context.scene
     cycles = scene.cycles
     cycles.max_bounces = cycles.volume_bounces = 64
@@ -159,11 +162,11 @@ def pictures(folder, ob, mode="REPLACE", size=16, samples=64, margin=4, **option
     outcome = scenery.bake_light(
         ob, resolution=EDGE + margin, folder=str(folder), mode=mode, device="", **options
     )
-    cycles.volume_bounces = 0  # as users have it
+    cycles.volume_bounces = 0  # the default
     with silent_stdout():
-        found = render(scene, folder / "ours.exr", size, 16 if mode == "REPLACE" else samples)
+        ours = render(scene, folder / "ours.exr", size, 16 if mode == "REPLACE" else samples)
     restore_scene(scene)
-    return expected, found, outcome
+    return expected, ours, outcome
 
 
 def look():
@@ -176,82 +179,82 @@ def look():
 def test_level_is_that_of_cycles(light, tmp_path):
     look()
     light()
-    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path))
-    ratio = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
+    expected, ours, _ = pictures(tmp_path, add_cloud(tmp_path))
+    ratio = ours.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
     limit = LIMIT_OF_AREAS if light in (area, disk_with_slats) else LIMIT
     assert ratio == pytest.approx(1, abs=limit)
 
 
 @pytest.mark.parametrize("side", FORWARD)
 def test_level_of_light_scattered_forwards_is_that_of_cycles(side, tmp_path):
-    """A dense cloud: light of many small angles goes on into it, and light of many scatterings
-    comes back out of it."""
+    """A dense cloud: light scattered by small angles goes far into it, and light scattered many
+    times comes back out."""
     look()
     add_lamp("SUN", FORWARD[side], energy=3.0)
-    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path, **DENSE), samples=256)
-    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_FORWARDS)
+    expected, ours, _ = pictures(tmp_path, add_cloud(tmp_path, **DENSE), samples=256)
+    assert ours.mean() == pytest.approx(expected.mean(), rel=LIMIT_FORWARDS)
 
 
 def test_level_of_a_lamp_inside_is_that_of_cycles(tmp_path):
-    """With a radius, for Cycles finds the light of a point inside a medium at no number of samples:
-    the variance is infinite."""
+    """The lamp has a radius, because Cycles' variance is infinite for a point inside a medium."""
     look()
     add_lamp("POINT", INSIDE, energy=300.0, shadow_soft_size=0.1)
-    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path, 2.0), samples=128, margin=8)
-    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT)
+    expected, ours, _ = pictures(tmp_path, add_cloud(tmp_path, 2.0), samples=128, margin=8)
+    assert ours.mean() == pytest.approx(expected.mean(), rel=LIMIT)
 
 
 def test_level_of_a_cloud_in_a_large_domain_is_that_of_cycles(tmp_path):
-    """Most of its voxels are empty, and bright with light that nobody sees."""
+    """Most of its voxels are empty, and full of light that is invisible."""
     look()
     add_lamp("SUN", (1, -2, 3), energy=3.0)
     ob = add_cloud(tmp_path, around=EDGE)
-    expected, found, _ = pictures(tmp_path, ob, size=12, margin=2 * EDGE + 4, quality="draft")
-    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_DRAFTS)
+    expected, ours, _ = pictures(tmp_path, ob, size=12, margin=2 * EDGE + 4, quality="draft")
+    assert ours.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_DRAFTS)
 
 
 def test_level_of_a_lamp_beside_a_cloud_is_that_of_cycles(tmp_path):
-    """Its light is strongest in empty voxels around it."""
+    """Its light is strongest in the empty voxels around it."""
     look()
     add_lamp("POINT", (0.2, -0.9, 0.6), energy=60.0, shadow_soft_size=0.05)
-    expected, found, _ = pictures(tmp_path, add_cloud(tmp_path), size=12, margin=8, quality="draft")
-    assert found.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_DRAFTS)
+    expected, ours, _ = pictures(tmp_path, add_cloud(tmp_path), size=12, margin=8, quality="draft")
+    assert ours.mean() == pytest.approx(expected.mean(), rel=LIMIT_OF_DRAFTS)
 
 
 def density(places):
-    """(...,), that of the cloud at (..., 3) m, read as Cycles does between voxels."""
+    """(...,): the density of the cloud at (..., 3) m, interpolated like in Cycles."""
     values = np.pad(cloud(), 2)
     place = np.clip((places + 1) * EDGE / 2 + 1.5, 0, EDGE + 2.99)
-    voxel, rest = place.astype(int), place % 1
+    voxel, fraction = place.astype(int), place % 1
     corners = np.array(list(product((0, 1), repeat=3)))
     return sum(
         values[tuple(np.moveaxis(voxel + corner, -1, 0))]
-        * np.prod(np.where(corner, rest, 1 - rest), axis=-1)
+        * np.prod(np.where(corner, fraction, 1 - fraction), axis=-1)
         for corner in corners
     )
 
 
 def scattered_once(toward, extinction, albedo, g=0.4, power=300.0):
-    """W/(m^2 sr), the picture's mean of the light of a point inside that has scattered once.
+    """W/(m^2 sr): the picture's mean of light from a point inside that has scattered once.
 
-    toward  (n, 3), unit vectors spread evenly: along the rays of the lamp there is no peak
+    toward  (n, 3), uniformly distributed unit vectors: the integrand has no peak along the rays of
+            the lamp
     """
     eye = np.array(EYE) / np.linalg.norm(EYE)
     step, total, depth = 0.02, 0.0, 0.0
     phase = (1 - g**2) / (1 + g**2 - 2 * g * toward @ eye) ** 1.5 / (4 * np.pi)
     for distance in np.arange(step / 2, 2.4, step):
         place = INSIDE + distance * toward
-        own = extinction * density(place)
+        local = extinction * density(place)
         ahead = density(place + np.arange(0.05, 2.6, 0.1)[:, None, None] * eye).sum(axis=0)
-        through = np.exp(-depth - own * step / 2 - 0.1 * extinction * ahead)
-        total += albedo * power * step * np.mean(own * through * phase)
-        depth = depth + own * step
+        transmittance = np.exp(-depth - local * step / 2 - 0.1 * extinction * ahead)
+        total += albedo * power * step * np.mean(local * transmittance * phase)
+        depth = depth + local * step
     return total / WIDTH**2
 
 
 def point_inside(folder):
-    """The mean of our picture of a point in a medium so dark that light scatters once, over the
-    integral that it is."""
+    """The mean of our picture of a point in a medium so dark that light scatters once, relative to
+    the analytic integral."""
     height = 1 - 2 * (np.arange(300) + 0.5) / 300
     turn, radius = 2.399963 * np.arange(300), np.sqrt(1 - height**2)
     sphere = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
@@ -260,9 +263,9 @@ def point_inside(folder):
     ob = add_cloud(folder, 5.0, 0.001)
     scenery.bake_light(ob, resolution=EDGE + 8, folder=str(folder), mode="REPLACE", device="")
     with silent_stdout():
-        found = render(scene, folder / "ours.exr", 16, 64)
+        ours = render(scene, folder / "ours.exr", 16, 64)
     restore_scene(scene)
-    return found.mean() / scattered_once(sphere, 5.0, 0.001)
+    return ours.mean() / scattered_once(sphere, 5.0, 0.001)
 
 
 def test_a_point_inside_is_as_bright_as_its_integral(tmp_path):
@@ -272,9 +275,9 @@ def test_a_point_inside_is_as_bright_as_its_integral(tmp_path):
 @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
 @pytest.mark.parametrize("kind", FIRES)
 def test_level_of_a_fire_is_that_of_cycles(kind, mode, tmp_path):
-    """Its own light, and what the smoke around it scatters of that; by all bands together, for
-    Cycles' polynomial of colours is below zero where black bodies are dark red."""
+    """Its own light, and the light that the smoke around it scatters, averaged over the bands:
+    Cycles' polynomial for the colours of dark red black bodies is negative."""
     look()
-    expected, found, outcome = pictures(tmp_path, add_fire(tmp_path, **FIRES[kind]), mode)
+    expected, ours, outcome = pictures(tmp_path, add_fire(tmp_path, **FIRES[kind]), mode)
     assert outcome.notes == []
-    assert found.sum() / expected.sum() == pytest.approx(1, abs=LIMIT)
+    assert ours.sum() / expected.sum() == pytest.approx(1, abs=LIMIT)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Foliage that reads the baked volume shows what would be written on it, and follows its moves."""
+"""Foliage that reads the baked volume shows the light that a bake would write on it, and is lit
+where it moves."""
 
 import bpy
 import numpy as np
@@ -15,7 +16,8 @@ from lb_lighting.output.ambient import (
     irradiance,
     sample,
 )
-from lb_lighting.output.modifier import GRID_GROUP, add_modifier, has_modifier
+from lb_lighting.output.grid_groups import GRID_GROUP
+from lb_lighting.output.modifier import add_modifier, has_modifier
 from lb_lighting.output.shading_surfaces import wire_ambient
 from lb_lighting.output.vdb import AXES, write_vdb
 from lb_lighting.output.volume import show_volume
@@ -35,12 +37,12 @@ def scene(scene):
 
 
 def close(light):
-    """Blender keeps matrices, and samples grids, in float32."""
+    """Blender stores matrices and samples grids in float32."""
     return pytest.approx(light, rel=1e-4, abs=2e-5 * float(light.max()))
 
 
 def differ(light, other):
-    """Whether somewhere more than a tenth of the largest is between them."""
+    """Whether they differ anywhere by more than a tenth of the largest value."""
     return np.abs(light - other).max() > 0.1 * light.max()
 
 
@@ -93,7 +95,7 @@ def modified(ob, value):
 
 @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
 def test_it_shows_what_would_be_written(scene, tmp_path, mode):
-    """A sky too, whose unscattered light the volume's own grids have in Replace."""
+    """With a sky too, whose uncollided light is in the volume's grids in Replace."""
     scene.world = bpy.data.worlds.new("sky")
     leaves = scenery.add_leaves(count=50)
     lid = scenery.add_ball("lid", radius=0.5, role="OCCLUDER", material=scenery.leaf_material())
@@ -167,7 +169,7 @@ def test_strength(scene):
 
 
 def scatter_group(leaf, turned=6):
-    """Geometry nodes that put the object `leaf`, turned by chance, on the points of a mesh."""
+    """Geometry nodes that put the object `leaf`, randomly rotated, on the points of a mesh."""
     tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
     tree.is_modifier = True
     for in_out in ("INPUT", "OUTPUT"):
@@ -194,7 +196,7 @@ def scatter_group(leaf, turned=6):
 
 @pytest.fixture
 def plant(scene):
-    """An object of nothing but instances: 300 square leaves, 0.1 m wide, and their field."""
+    """An object that consists of instances, 300 square leaves, 0.1 m wide; and their field."""
     leaf = bpy.data.meshes.new("leaf")
     corners = [(x / 20, y / 20, 0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     leaf.from_pydata(corners, [], [(0, 1, 2, 3)])

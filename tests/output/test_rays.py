@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which rays find our light: all that the eye sees by, and none that would count it twice."""
+"""Which rays find our light: those the eye sees directly, and none that would count it twice."""
 
 import bpy
 import numpy as np
 import pytest
 
 from lb_lighting.output.attribute import write_ambient
+from lb_lighting.output.render_settings import prepare_scene
 from lb_lighting.output.shading_surfaces import wire_ambient
-from lb_lighting.output.shading_volumes import prepare_scene, shade_volume
+from lb_lighting.output.shading_volumes import shade_volume
 from lb_lighting.output.vdb import write_vdb
 from lb_lighting.output.volume import show_volume
 from lb_lighting.transport.medium import Domain
@@ -20,21 +21,21 @@ SKY = np.array([0.4, 0.3, 0.8])
 SEEN = COLOR * LIGHT
 WHITE = (1, 1, 1, 1)
 FROM_ABOVE = (0, 0, 10), (0, 0, 0)
-# What a sharp surface of an index of refraction of 1.5 reflects at right angles.
+# The share that a sharp surface with a refractive index of 1.5 reflects at normal incidence.
 FRESNEL = 0.04
 
 
-def light(ob, whole=False):
-    """Let `ob` show LIGHT on both sides."""
+def light(ob, all_light=False):
+    """Make `ob` show LIGHT on both sides."""
     values = np.ones((2, len(ob.data.vertices), 4), np.float32)
     values[..., :3] = LIGHT
-    write_ambient([ob], [values], whole)
-    wire_ambient(ob.active_material, whole=whole)
+    write_ambient([ob], [values], all_light)
+    wire_ambient(ob.active_material, all_light=all_light)
     return ob
 
 
-def leaf(z=0.0, whole=False):
-    return light(plane(z, 40, surface("ShaderNodeBsdfDiffuse", Color=(*COLOR, 1))), whole)
+def leaf(z=0.0, all_light=False):
+    return light(plane(z, 40, surface("ShaderNodeBsdfDiffuse", Color=(*COLOR, 1))), all_light)
 
 
 def principled(**inputs):
@@ -50,7 +51,7 @@ def water():
     return principled(**names)
 
 
-# What the eye looks through, and how much light goes straight through it.
+# What the eye looks through, and the share of light that it transmits straight.
 PANES = {
     "glass": (lambda: surface("ShaderNodeBsdfGlass", Roughness=0.0, IOR=1.5, Color=WHITE), 0.96),
     "water": (water, 1 - (0.33 / 2.33) ** 2),
@@ -65,7 +66,7 @@ PANES = {
 @pytest.mark.parametrize("name", PANES)
 @pytest.mark.parametrize("bounces", [0, 4])
 def test_leaves_are_seen_through_a_pane(tmp_path, name, bounces):
-    """Of the share that is reflected nothing comes back: all else is black."""
+    """The reflected share is lost, because everything else is black."""
     scene = dark_scene(*FROM_ABOVE, width=1)
     scene.cycles.diffuse_bounces = bounces
     make, share = PANES[name]
@@ -83,14 +84,14 @@ def test_leaves_are_seen_in_a_mirror(tmp_path, roughness):
     color = {"Base Color": WHITE, "Metallic": 1.0, "Roughness": roughness}
     plane(0, 4, principled(**color))
     seen = middle(render(scene, tmp_path / "a.exr", 16, 256))
-    # What mirrors roughly sends some light below its own face.
+    # A rough mirror sends some light below its own face.
     assert seen == pytest.approx(SEEN, rel=0.02 if roughness == 0 else 0.08)
     assert np.all(seen <= 1.01 * SEEN)
 
 
 @pytest.mark.parametrize("kind", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent"])
 def test_leaves_light_nothing_that_scatters(tmp_path, kind):
-    """What is below the camera, and has a leaf above and one beneath, stays black."""
+    """A surface below the camera, with a leaf above and one below, stays black."""
     scene = dark_scene((0, 0, 1), (0, 0, 0), width=1)
     scene.cycles.diffuse_bounces = scene.cycles.transmission_bounces = 8
     leaf(2)
@@ -127,18 +128,18 @@ def test_leaves_light_no_fog(tmp_path):
 
 @pytest.mark.parametrize("way", ["camera", "pane", "mirror"])
 def test_all_light_stays_all_light_behind_glass_and_in_mirrors(tmp_path, way):
-    """Under a sky, of which the leaf's own shader must find nothing more."""
+    """Under a sky that the leaf's own shader must not show again."""
     scene = dark_scene((0, 0, 1), (0, 0, 0), width=1)
     nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
     background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
     background.inputs["Color"].default_value = (*SKY, 1)
     links.new(background.outputs[0], output.inputs["Surface"])
     if way == "mirror":
-        leaf(2, whole=True)
+        leaf(2, all_light=True)
         plane(0, 40, principled(**{"Base Color": WHITE, "Metallic": 1.0, "Roughness": 0.0}))
         expected = SEEN
     else:
-        leaf(0, whole=True)
+        leaf(0, all_light=True)
         expected = SEEN
     if way == "pane":
         plane(0.5, 4, surface("ShaderNodeBsdfGlass", Roughness=0.0, IOR=1.5, Color=WHITE))
@@ -205,7 +206,7 @@ def test_bounces_from_leaf_to_leaf_are_left_to_the_lattice(tmp_path, make):
 
 @pytest.mark.parametrize("linked", [False, True])
 def test_metal_shows_what_it_mirrors_and_no_light_of_its_own(tmp_path, linked):
-    """A plane that is metal to 3/4, and mirrors a leaf above the eye."""
+    """A plane that is 3/4 metal, and mirrors a leaf above the eye."""
     scene = dark_scene((0, 0, 1), (0, 0, 0), width=1)
     leaf(2)
     material = principled(**{"Base Color": (*COLOR, 1), "Metallic": 0.75, "Roughness": 0.0})

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Cycles makes of our output, against what it must be by arithmetic."""
+"""Cycles' pictures of baked volumes, compared with analytic values."""
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Euler, Vector
 
-from lb_lighting.output.attribute import read_vertices, remove_ambient, write_ambient
-from lb_lighting.output.shading_surfaces import wire_ambient
-from lb_lighting.output.shading_volumes import prepare_scene, shade_volume
+from lb_lighting.output.render_settings import prepare_scene
+from lb_lighting.output.shading_volumes import shade_volume
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     direct_grid,
@@ -18,7 +17,6 @@ from lb_lighting.output.vdb import (
     write_vdb,
 )
 from lb_lighting.output.volume import baked_volumes, fresh_path, show_volume
-from lb_lighting.transport.field import Field, Report
 from lb_lighting.transport.lights.distant import Sun
 from lb_lighting.transport.lights.lamps import PointLight, SpotLight
 from lb_lighting.transport.medium import Domain
@@ -27,10 +25,20 @@ from tests.output.rendering import centroid, dark_scene, middle, plane, render, 
 from tests.scenery import source
 
 FROM_ABOVE = (0, 0, 10), (0, 0, 0)
+
+
 DEPTH = 2.0  # m, of the box
+
+
 BOX = Domain((-1.5, -1.5, -1.5), 0.125, (24, 24, 24))
+
+
 SIGMA_S = np.array([0.8, 0.5, 0.2])
+
+
 SIGMA_A = np.array([0.1, 0.3, 0.6])
+
+
 LIGHT = np.array([2.0, 1.0, 0.5])
 
 
@@ -95,7 +103,7 @@ def scattering_cube():
 
 
 def test_add_over_the_scattering_medium_counts_its_light_once(tmp_path):
-    """Cycles would scatter the emission again, but for the gate by camera rays."""
+    """Cycles would scatter the emission again if it were not limited to camera rays."""
     scene = dark_scene(*FROM_ABOVE, width=1)
     scattering_cube()
     shade_volume(box(tmp_path / "a.vdb"), "ADD", SIGMA_S, SIGMA_A)
@@ -126,7 +134,9 @@ def test_a_second_bake_is_shown(tmp_path):
     assert after == pytest.approx(3 * before, rel=0.01)
 
 
-THIN = 1e-3  # 1/m: light is everywhere as if there were nothing
+THIN = 1e-3  # 1/m, too thin to change the light
+
+
 BEAMS = {
     "sun": [Sun((0.3, 0.2, -0.9), (1.0, 2.0, 0.5))],
     "point": [PointLight((1.0, 0.5, 2.5), (40.0, 20.0, 30.0))],
@@ -140,7 +150,7 @@ BEAMS = {
 
 
 def unscattered(beam):
-    """(3, nx, ny, nz): the grid of a light that meets nothing: W/(m^2 sr) of a sun, else W/sr."""
+    """(3, nx, ny, nz): the grid of an unattenuated light, W/(m^2 sr) for a sun, else W/sr."""
     if isinstance(beam, Sun):
         light = np.ones(BOX.shape)
     else:
@@ -157,7 +167,7 @@ def unscattered(beam):
 
 
 def lamp(beam):
-    """A lamp of Blender that shines as the light does."""
+    """A Blender lamp with the same light."""
     kind = {Sun: "SUN", PointLight: "POINT", SpotLight: "SPOT"}[type(beam)]
     data = bpy.data.lights.new("lamp", kind)
     data.color = np.broadcast_to(beam.spectrum, 3) / 100
@@ -193,7 +203,7 @@ def even(values):
 
 
 def scattering_material(g):
-    """The thin medium as Cycles has it, of the density of the grid."""
+    """The thin medium in Cycles, with the density of the grid."""
     material = bpy.data.materials.new("thin")
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
@@ -221,19 +231,19 @@ def look_from(angle):
     [("sun", 0.3), ("sun", 2.6), ("point", 1.0), ("spot", 1.0), ("two suns and a point", 2.0)],
 )
 def test_replace_scatters_beams_as_cycles_does(tmp_path, beams, angle):
-    """Each by its own angle to the eye; Cycles' noise is below 0.5 % of the mean."""
+    """Each at its angle to the eye; Cycles' noise is below 0.5 % of the mean."""
     scene, g, beams = look_from(angle), 0.6, BEAMS[beams]
     ob = thin_box(tmp_path / "a.vdb", beams)
     shade_volume(ob, "REPLACE", THIN, 0.0, g, beams)
     scene.cycles.volume_biased = True
-    found = render(scene, tmp_path / "a.exr", 16, 4).mean(axis=(0, 1))
+    measured = render(scene, tmp_path / "a.exr", 16, 4).mean(axis=(0, 1))
 
     ob.data.materials[0] = scattering_material(g)
     for beam in beams:
         lamp(beam)
-    scene.cycles.volume_biased = False  # or else so thin a medium is a matter of luck
+    scene.cycles.volume_biased = False  # marching is too noisy for so thin a medium
     expected = render(scene, tmp_path / "b.exr", 16, 256).mean(axis=(0, 1))
-    assert found == pytest.approx(expected, rel=0.02)
+    assert measured == pytest.approx(expected, rel=0.02)
 
 
 def henyey_greenstein(cosine, g):
@@ -293,9 +303,9 @@ def test_a_second_bake_has_its_own_beams(tmp_path):
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["two suns and a point"])
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.6, BEAMS["sun"])
     nodes = ob.active_material.node_tree.nodes
-    assert len(nodes) == 6  # the light, its output, one beam, unscattered and forward, with grids
+    assert len(nodes) == 6  # the light, its output, one beam, uncollided and forward, with grids
     shade_volume(ob, "REPLACE", THIN, 0.0, 0.0, BEAMS["sun"])
-    assert len(nodes) == 4  # nothing goes on forwards
+    assert len(nodes) == 4  # no forward light
     shade_volume(ob, "ADD", THIN, 0.0, 0.6)
     assert len(nodes) == 2
 
@@ -311,7 +321,7 @@ def blob(points):
 
 
 def source_volume(path):
-    """A user's Volume object of the blob: its own fine grid, scale and turn, glowing by density."""
+    """A user's Volume object of the blob: a fine grid, scaled, rotated, glowing by density."""
     import openvdb
 
     grid = openvdb.FloatGrid()
@@ -329,7 +339,7 @@ def source_volume(path):
     grid.name = DENSITY_GRID
     openvdb.write(str(path), [grid])
     volume.filepath = str(path)
-    volume.render.space = "WORLD"  # or else Cycles divides the density by the object's scale
+    volume.render.space = "WORLD"  # otherwise Cycles divides the density by the object's scale
 
     material = surface("ShaderNodeVolumeCoefficients")
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -356,168 +366,8 @@ def test_baked_volume_lies_on_its_source(tmp_path):
     write_vdb(tmp_path / "baked.vdb", domain, density, np.ones((1, *domain.shape)), {})
     baked = show_volume(bpy.context, [source("source")], tmp_path / "baked.vdb")
     shade_volume(baked, "ADD", 1.0, 0.0)
-    found = render(scene, tmp_path / "baked.exr", 64, 16)
+    measured = render(scene, tmp_path / "baked.exr", 64, 16)
 
     voxel = domain.voxel_size / (4 / 64)  # in pixels
-    assert centroid(found) == pytest.approx(centroid(seen), abs=0.1 * voxel)
-    assert found.mean() == pytest.approx(seen.mean(), rel=0.01)
-
-
-def light_plane(ob, radiance, flux=0.0, whole=False):
-    """Ambient light of that mean radiance, (3,), and that flux upwards, W/m^2, on a plane."""
-    fluence = 4 * np.pi * np.broadcast_to(np.reshape(radiance, (-1, 1, 1, 1)), (3, *BOX.shape))
-    upwards = np.zeros((3, 3, *BOX.shape))
-    upwards[:, 2] = flux
-    field = Field(BOX, fluence, 0 * fluence, upwards, Report("physical", "none"))
-    vertices = read_vertices(ob, bpy.context.evaluated_depsgraph_get())
-    write_ambient([ob], [vertices.light(field)], whole)
-    wire_ambient(ob.active_material, strength=2.0, whole=whole)
-
-
-def ambient_plane(radiance, material):
-    ob = plane(0, 2, material)
-    light_plane(ob, radiance)
-    return ob
-
-
-COLOR = np.array([0.1, 0.6, 0.3])
-OTHER = np.array([0.5, 0.2, 0.4])
-
-
-def principled(alpha):
-    return surface("ShaderNodeBsdfPrincipled", **{"Base Color": (*COLOR, 1), "Alpha": alpha})
-
-
-def principled_with_linked_alpha(alpha):
-    material = principled(1.0)
-    nodes = material.node_tree.nodes
-    value = nodes.new("ShaderNodeValue")
-    value.outputs[0].default_value = alpha
-    material.node_tree.links.new(value.outputs[0], nodes["Principled BSDF"].inputs["Alpha"])
-    return material
-
-
-def mixed(material, other, factor):
-    """`material` with the closure `other` of the colour OTHER mixed to it."""
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    target = nodes["Material Output"].inputs["Surface"]
-    closure, mix = nodes.new(other), nodes.new("ShaderNodeMixShader")
-    closure.inputs["Color"].default_value = (*OTHER, 1)
-    mix.inputs[0].default_value = factor
-    links.new(target.links[0].from_socket, mix.inputs[1])
-    links.new(closure.outputs[0], mix.inputs[2])
-    links.new(mix.outputs[0], target)
-    return material
-
-
-def closure(kind):
-    return surface(kind, Color=(*COLOR, 1))
-
-
-# A surface, and the share of diffuse light that it sends to the eye.
-REFLECTANCES = {
-    "diffuse": (lambda: closure("ShaderNodeBsdfDiffuse"), COLOR),
-    "translucent": (lambda: closure("ShaderNodeBsdfTranslucent"), COLOR),
-    "subsurface": (lambda: closure("ShaderNodeSubsurfaceScattering"), COLOR),
-    "glossy": (lambda: closure("ShaderNodeBsdfGlossy"), 0 * COLOR),
-    "principled": (lambda: principled(1.0), COLOR),
-    "cut out by alpha": (lambda: principled(0.02), 0.02 * COLOR),
-    "cut out by linked alpha": (lambda: principled_with_linked_alpha(0.02), 0.02 * COLOR),
-    "alpha beyond 1": (lambda: principled_with_linked_alpha(5.0), COLOR),
-    "cut out by a mix": (
-        lambda: mixed(principled(1.0), "ShaderNodeBsdfTransparent", 0.98),
-        0.02 * COLOR,
-    ),
-    "leaf": (
-        lambda: mixed(closure("ShaderNodeBsdfDiffuse"), "ShaderNodeBsdfTranslucent", 0.3),
-        0.7 * COLOR + 0.3 * OTHER,
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFLECTANCES)
-def test_ambient_is_reflectance_times_mean_radiance(tmp_path, name):
-    scene = dark_scene(*FROM_ABOVE, width=1)
-    make, reflectance = REFLECTANCES[name]
-    ambient_plane(LIGHT, make())
-    picture = render(scene, tmp_path / "a.exr", 16, 1)
-    assert middle(picture) == pytest.approx(2 * reflectance * LIGHT, rel=0.01, abs=1e-6)
-
-
-FLUX = 2.5  # W/m^2, upwards: it falls on the plane from below
-
-
-def leaf():
-    """A diffuse and a translucent closure, added."""
-    material = closure("ShaderNodeBsdfDiffuse")
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    through, both = nodes.new("ShaderNodeBsdfTranslucent"), nodes.new("ShaderNodeAddShader")
-    through.inputs["Color"].default_value = (*OTHER, 1)
-    target = nodes["Material Output"].inputs["Surface"]
-    links.new(target.links[0].from_socket, both.inputs[0])
-    links.new(through.outputs[0], both.inputs[1])
-    links.new(both.outputs[0], target)
-    return material
-
-
-@pytest.mark.parametrize(
-    ("turn", "scale"),
-    [(0, 1), (np.pi, 1), (0, -1)],
-    ids=["front", "back", "mirrored"],
-)
-def test_each_side_shows_the_light_that_it_gets(tmp_path, turn, scale):
-    """The eye is above: it sees reflected what comes from there, and through what does not."""
-    scene = dark_scene(*FROM_ABOVE, width=1)
-    ob = plane(0, 2, leaf())
-    ob.rotation_euler.x, ob.scale.z = turn, scale
-    bpy.context.view_layer.update()
-    light_plane(ob, LIGHT, FLUX)
-    above, below = (np.pi * LIGHT + sign * FLUX / 2 for sign in (-1, 1))
-    expected = (COLOR * above + OTHER * below) / np.pi
-    picture = render(scene, tmp_path / "a.exr", 16, 1)
-    assert middle(picture) == pytest.approx(2 * expected, rel=0.01)
-
-
-SKY = np.array([0.4, 0.3, 0.8])
-
-
-def under_sky(width):
-    scene = dark_scene(*FROM_ABOVE, width=width)
-    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
-    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
-    background.inputs["Color"].default_value = (*SKY, 1)
-    links.new(background.outputs[0], output.inputs["Surface"])
-    return scene
-
-
-@pytest.mark.parametrize("name", ["diffuse", "translucent", "subsurface", "leaf"])
-def test_what_shows_all_light_shows_none_of_the_skys_again(tmp_path, name):
-    """And what has the same material, but is not lit, shows the sky's as before."""
-    scene, (make, reflectance) = under_sky(width=1), REFLECTANCES[name]
-    ob = plane(0, 2, make())
-    before = render(scene, tmp_path / "a.exr", 16, 256)
-    light_plane(ob, LIGHT, whole=True)
-    lit = render(scene, tmp_path / "b.exr", 16, 4)
-    assert middle(lit) == pytest.approx(2 * reflectance * LIGHT, rel=0.01)
-    remove_ambient(ob)
-    after = render(scene, tmp_path / "c.exr", 16, 256)
-    assert middle(after) == pytest.approx(middle(before), rel=1e-3)
-    assert middle(before).min() > 0.01
-
-
-def test_the_gloss_of_what_shows_all_light_stays(tmp_path):
-    scene = under_sky(width=1)
-    light_plane(plane(0, 2, principled(1.0)), LIGHT, whole=True)
-    gloss = middle(render(scene, tmp_path / "a.exr", 16, 256)) - 2 * COLOR * LIGHT
-    # Fresnel's share at right angles is .04 at an index of refraction of 1.5.
-    assert gloss == pytest.approx(0.04 * SKY, rel=0.25)
-
-
-def test_ambient_light_does_not_light_its_surroundings(tmp_path):
-    scene = dark_scene((0, 0, 0.5), (0, 0, 0), width=1)
-    lit = ambient_plane(LIGHT, surface("ShaderNodeBsdfDiffuse", Color=(1, 1, 1, 1)))
-    plane(-1, 8, surface("ShaderNodeBsdfDiffuse", Color=(1, 1, 1, 1)))
-    seen = middle(render(scene, tmp_path / "a.exr", 16, 4))
-    assert seen == pytest.approx(2 * LIGHT, rel=0.01)
-    lit.location.z = 1  # behind the camera, above the floor
-    assert render(scene, tmp_path / "b.exr", 16, 4).max() == 0
+    assert centroid(measured) == pytest.approx(centroid(seen), abs=0.1 * voxel)
+    assert measured.mean() == pytest.approx(seen.mean(), rel=0.01)

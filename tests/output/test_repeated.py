@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What modifiers, shared meshes and instances repeat is lit where it is, or a note tells of it."""
+"""Copies that modifiers, shared meshes and instances make are lit where they are, or a note reports
+them."""
 
 import subprocess
 import sys
@@ -18,7 +19,8 @@ from lb_lighting.output.ambient import (
     sample,
 )
 from lb_lighting.output.attribute import has_ambient
-from lb_lighting.output.modifier import GRID_GROUP, has_modifier
+from lb_lighting.output.grid_groups import GRID_GROUP
+from lb_lighting.output.modifier import has_modifier
 from lb_lighting.scene.read_meshes import read_mesh
 from lb_lighting.sequence import Sequence
 from tests import scenery
@@ -36,7 +38,7 @@ def evaluated(ob):
 
 
 def shown(ob, name=AMBIENT_ATTRIBUTE):
-    """(n, 3): the light on the points of the evaluated mesh, of the front or as `name` says."""
+    """(n, 3): the light on the points of the evaluated mesh, of the front or of `name`."""
     attribute = evaluated(ob).data.attributes[name]
     values = np.empty(4 * len(attribute.data), np.float32)
     attribute.data.foreach_get("color", values)
@@ -44,7 +46,7 @@ def shown(ob, name=AMBIENT_ATTRIBUTE):
 
 
 def expected(field, ob):
-    """(n, 3): what falls there on the front of each, by the field."""
+    """(n, 3): the light of the field that falls on the front of each point."""
     mesh, matrix = evaluated(ob).data, ob.matrix_world
     turn = matrix.to_3x3().inverted().transposed()
     normals = [(turn @ normal.vector).normalized() for normal in mesh.vertex_normals]
@@ -115,7 +117,7 @@ def test_modifiers_that_only_move_vertices_need_none(scene):
 
 @pytest.fixture
 def twins(scene):
-    """Two plants of one mesh, one in the sun, the other far below, and upside down."""
+    """Two plants with one mesh, one in the sun, the other far below and upside down."""
     first = scenery.add_leaves("first", count=60)
     second = scenery.link("second", first.data)
     second.matrix_world = Matrix.Translation((0.1, 0, -2)) @ Matrix.Rotation(np.pi, 4, "X")
@@ -155,7 +157,7 @@ def test_the_vertices_are_used_again_once_they_are_its_own(twins):
 
 @pytest.mark.parametrize("role", ["SOLID", "OCCLUDER"])
 def test_bodies_and_walls_are_lit_where_they_are(scene, role):
-    """Each side as `Vertices` has it: of walls in front of it, of bodies what comes out."""
+    """Each side as in `Vertices`: in front of walls, and what leaves bodies."""
     scene.lb_lighting.resolution = 20
     material = scenery.leaf_material((0.6, 0.5, 0.4))
     names = "one", "two", "row"
@@ -187,7 +189,7 @@ def test_bodies_and_walls_are_lit_where_they_are(scene, role):
 
 
 def test_a_wall_of_large_faces_shows_none(scene):
-    """It cannot carry light on its corners, be they repeated or not."""
+    """It cannot store light on its points, repeated or not."""
     leaves = scenery.add_leaves(count=20)
     bpy.ops.mesh.primitive_plane_add(size=4, location=(0, 0, -1.2))
     ground = bpy.context.object
@@ -199,7 +201,7 @@ def test_a_wall_of_large_faces_shows_none(scene):
 
 
 def scattered(leaf):
-    """Geometry nodes that put the object `leaf` on each vertex, and leave out the mesh."""
+    """Geometry nodes that put the object `leaf` on each vertex, without the mesh."""
     tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
     tree.is_modifier = True
     for in_out in ("INPUT", "OUTPUT"):
@@ -255,13 +257,13 @@ def test_a_note_names_some_of_many(scene):
 
 @pytest.mark.parametrize("selected", [False, True])
 def test_what_others_instance_is_told_of(scene, selected):
-    """A collection instance; one that is selected says so itself."""
+    """A collection instance; a selected one has a note of its own."""
     ob = scenery.add_leaves(count=20)
     crown = bpy.data.collections.new("crown")
     crown.objects.link(ob)
     empty = scenery.link("copy", None)
     empty.instance_type, empty.instance_collection = "COLLECTION", crown
-    empty.location.z = -30  # too far to shade or light what is selected
+    empty.location.z = -30  # too far to affect the selection
     chosen = [ob, empty] if selected else [ob]
     task = bake.gather(bpy.context, chosen, bake.Options.of(scene))
     (note,) = about(task.reader.notes, "copy")
@@ -269,7 +271,7 @@ def test_what_others_instance_is_told_of(scene, selected):
 
 
 def test_all_frames_of_a_plant_that_grows_have_its_light(scene, tmp_path):
-    """Grown up, it has all vertices of the original, and could hold it."""
+    """Once it is grown, it has all vertices of the original, and could store its light."""
     ob = scenery.add_leaves(count=30)
     build = ob.modifiers.new("build", "BUILD")
     build.frame_start, build.frame_duration = 1, 2

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import OutputError
+from lb_lighting.output.sources import forget, lost_sources, sources_shown_by
 from lb_lighting.output.vdb import (
     DENSITY_GRID,
     LIGHT_GRID,
     direct_grid,
     flux_grid,
     read_metadata,
-    volume_light,
     write_vdb,
 )
 from lb_lighting.output.volume import (
@@ -24,12 +24,10 @@ from lb_lighting.output.volume import (
     baked_volumes,
     default_folder,
     delete_baked_file,
-    forget,
-    lost_sources,
     remove_baked,
     show_volume,
-    sources_of,
 )
+from lb_lighting.output.volume_light import volume_light
 from lb_lighting.transport.field import Field, Report, ScatteringMoments
 from lb_lighting.transport.lights.distant import Sky, Sun
 from lb_lighting.transport.lights.lamps import PointLight
@@ -83,10 +81,10 @@ def test_density_is_written_as_it_is(tmp_path, domain, density, light):
 def test_light_reaches_two_voxels_beyond_density_and_the_domain(tmp_path, domain, density, light):
     write_vdb(tmp_path / "a.vdb", domain, density, light, {})
     grid = read_grid(tmp_path / "a.vdb", LIGHT_GRID)
-    found = voxels(grid, (0, 0, 0), (*domain.shape, 3))
+    measured = voxels(grid, (0, 0, 0), (*domain.shape, 3))
     lit = np.zeros(domain.shape, bool)
     lit[:6, :6, :5] = True
-    assert np.array_equal(found, np.moveaxis(light * lit, 0, -1))
+    assert np.array_equal(measured, np.moveaxis(light * lit, 0, -1))
     beyond = voxels(grid, (2, 2, -2), (1, 1, 2, 3))
     assert np.array_equal(beyond[0, 0], np.tile(light[:, 2, 2, 0], (2, 1)))
 
@@ -95,8 +93,8 @@ def test_other_grids_are_written_likewise(tmp_path, domain, density, light):
     others = {direct_grid(1): 2 * light, flux_grid("X"): light[:1]}
     write_vdb(tmp_path / "a.vdb", domain, density, light, {}, others)
     for name, expected in ((direct_grid(1), 2 * light), (flux_grid("X"), light[[0, 0, 0]])):
-        found = voxels(read_grid(tmp_path / "a.vdb", name), (0, 0, 0), (6, 6, 5, 3))
-        assert np.array_equal(found, np.moveaxis(expected[:, :6, :6, :5], 0, -1))
+        measured = voxels(read_grid(tmp_path / "a.vdb", name), (0, 0, 0), (6, 6, 5, 3))
+        assert np.array_equal(measured, np.moveaxis(expected[:, :6, :6, :5], 0, -1))
 
 
 class TestVolumeLight:
@@ -104,17 +102,17 @@ class TestVolumeLight:
     LIGHTS = (Sun((0, 0, -1), 1.0), Sky(1.0), PointLight((0, 0, 9), 1.0))
 
     def field(self, glow=0.0, apart=True):
-        """Scattered light of 1 with a flux of 0.5, and that of the lights, and of the medium."""
-        own = np.stack([np.full(self.SHAPE, value, np.float32) for value in (2.1, 3.1, 4.1)])
+        """ScatteringMoments light of 1 with a flux of 0.5, and the light of lights and medium."""
+        by_light = np.stack([np.full(self.SHAPE, value, np.float32) for value in (2.1, 3.1, 4.1)])
         flux = np.zeros((2, 3, *self.SHAPE[1:]), np.float32)
         flux[:, 2] = -0.5
         return Field(
             Domain((0, 0, 0), 1.0, self.SHAPE[1:]),
             np.ones(self.SHAPE, np.float32),
-            own.sum(axis=0) + np.float32(glow),
+            by_light.sum(axis=0) + np.float32(glow),
             flux,
             Report("physical", "none"),
-            by_light=own if apart else None,
+            by_light=by_light if apart else None,
         )
 
     def radiance(self, fluence):
@@ -150,20 +148,20 @@ class TestVolumeLight:
 
     @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
     def test_light_of_small_angles_stays_with_its_beam(self, mode):
-        """It is no part of what comes from many directions any more, nor of the flux of that."""
+        """It is no longer part of the light from many directions, nor of its flux."""
         field = self.field()
         field.direct_flux = np.zeros_like(field.flux)
-        field.direct_flux[:, 2] = -2.1  # the sun's; that of the others is left out
+        field.direct_flux[:, 2] = -2.1  # the sun's, without those of the others
         field.forward = np.zeros_like(field.by_light)
         field.forward[0] = 0.25
         lights = [self.LIGHTS[0], Sky(1.0), Sky(1.0)]
         light, others, beams = volume_light(field, lights, mode, g=(0.6, 1.0))
         assert beams == [self.LIGHTS[0]]
         assert others["lb_forward_1"] == self.radiance(0.25)
-        rest = 0.75 + (7.2 if mode == "REPLACE" else 0)
-        assert light == self.radiance(rest)
+        even = 0.75 + (7.2 if mode == "REPLACE" else 0)
+        assert light == self.radiance(even)
         for band, straight in enumerate((0.8, 1.0)):
-            expected = np.full(self.SHAPE[1:], (-0.5 + 0.25 * straight) / rest)
+            expected = np.full(self.SHAPE[1:], (-0.5 + 0.25 * straight) / even)
             assert others["lb_flux_z"][band] == pytest.approx(expected, abs=1e-6)
 
     def test_light_of_small_angles_is_no_more_than_there_is(self):
@@ -186,12 +184,12 @@ class TestVolumeLight:
         assert beams == [self.LIGHTS[0]]
         assert others["lb_forward_1"] == self.radiance(0.25)
         assert not set(FLUX) & others.keys()
-        rest = 7.2 if mode == "REPLACE" else 0
+        even = 7.2 if mode == "REPLACE" else 0
         towards = np.array((0.6, 0.0, 0.8))
-        expected = np.arange(1.0, 10) @ harmonics(towards) + rest / (4 * np.pi)
+        expected = np.arange(1.0, 10) @ harmonics(towards) + even / (4 * np.pi)
         shown = [light, *(others[f"lb_moment_{n}"] for n in range(1, 9))]
-        found = np.tensordot(polynomials(towards), np.array(shown), axes=1)
-        assert found == pytest.approx(np.full(self.SHAPE, expected), rel=1e-5)
+        measured = np.tensordot(polynomials(towards), np.array(shown), axes=1)
+        assert measured == pytest.approx(np.full(self.SHAPE, expected), rel=1e-5)
 
     def test_flux_is_no_more_than_the_fluence(self):
         field = self.field()
@@ -205,7 +203,9 @@ class TestVolumeLight:
     def test_in_a_white_furnace_light_has_no_direction(self):
         medium = Medium(np.ones((6, 7, 8)), 1.0, 0.5, 0.0, 0.85)
         field = solve(medium, [Sky(1.0)])
-        assert np.abs(field.flux).max() > 0.1  # as unscattered light flows in, scattered flows out
+        assert (
+            np.abs(field.flux).max() > 0.1
+        )  # uncollided light flows in, scattered light flows out
         light, others, _beams = volume_light(field, [Sky(1.0)], "REPLACE")
         assert light == pytest.approx(1, rel=1e-5)
         for name in FLUX:
@@ -220,8 +220,8 @@ class TestVolumeLight:
 
 def test_gray_light_is_written_to_all_bands(tmp_path, domain, density, light):
     write_vdb(tmp_path / "a.vdb", domain, density, light[:1], {})
-    found = voxels(read_grid(tmp_path / "a.vdb", LIGHT_GRID), (2, 2, 1), (1, 1, 1, 3))
-    assert np.all(found == light[0, 2, 2, 1])
+    measured = voxels(read_grid(tmp_path / "a.vdb", LIGHT_GRID), (2, 2, 1), (1, 1, 1, 3))
+    assert np.all(measured == light[0, 2, 2, 1])
 
 
 @pytest.mark.parametrize("name", [LIGHT_GRID, DENSITY_GRID])
@@ -267,7 +267,7 @@ def test_missing_folder_is_one_sentence(tmp_path, domain, density, light):
 
 @pytest.fixture
 def shared_folder():
-    """A folder that every user can reach, unlike pytest's own."""
+    """A folder that every user can access, unlike pytest's own."""
     with tempfile.TemporaryDirectory() as folder:
         yield Path(folder)
 
@@ -357,7 +357,7 @@ def test_a_volume_that_joins_two_takes_the_place_of_both(tmp_path, domain, densi
     assert show_volume(bpy.context, [first, second], path) == kept
     assert baked_volumes(bpy.context.scene) == [kept]
     first.name = "renamed"
-    assert sources_of(bpy.context.scene, kept) == [first, second]
+    assert sources_shown_by(bpy.context.scene, kept) == [first, second]
 
 
 def test_only_our_files_are_deleted(tmp_path, domain, density, light):

@@ -8,7 +8,8 @@ import pytest
 from lb_lighting import bake, cli
 from lb_lighting.errors import LightingError, SceneError
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
-from lb_lighting.output.volume import RESULT, baked_volumes
+from lb_lighting.output.sources import RESULT
+from lb_lighting.output.volume import baked_volumes
 from lb_lighting.scene.medium_choice import FROM_MATERIAL
 from lb_lighting.scene.opening import open_sources
 from lb_lighting.scene.reader import Reader

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is saved is whole: light of an unsaved file comes along, and a full disk is told."""
+"""Saved files are complete: the light of unsaved files comes along, full disks are reported."""
 
 import os
 import shutil
@@ -13,20 +13,20 @@ import openvdb
 import pytest
 from bpy.app.handlers import persistent
 
-from lb_lighting import cli, saving
+from lb_lighting import blend_file, cli
 from lb_lighting.errors import OutputError
-from lb_lighting.output import vdb
+from lb_lighting.output import saving, vdb
 from lb_lighting.output.volume import baked_path, baked_volumes, default_folder, unsaved_folder
 from lb_lighting.ui import running
 from tests import scenery
 from tests.keeping import light, write_light
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """The folder for results of files that are not saved yet."""
+    """The folder for results of unsaved files."""
     monkeypatch.setenv("BLENDER_USER_DATAFILES", str(tmp_path / "datafiles"))
     assert not unsaved_folder().exists()
     assert default_folder() == unsaved_folder() == tmp_path / "datafiles" / "lb_lighting"
@@ -45,7 +45,7 @@ def save(path, **options):
 
 
 def shown():
-    """(path as the file has it, names of the grids that Blender reads there) of the one light."""
+    """(stored path, names of the grids that Blender reads from it) of the only baked volume."""
     (ob,) = baked_volumes(bpy.context.scene)
     evaluated = ob.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert evaluated.grids.load()
@@ -54,7 +54,7 @@ def shown():
 
 @pytest.fixture(params=[None, (1, 2)], ids=["one", "sequence"])
 def unsaved(request, scene, home, tmp_path):
-    """The path of the light that was baked in a file without a path."""
+    """The path of the light that was baked in an unsaved file."""
     return baked_path(light(scenery.add_fog(tmp_path), folder=home, frames=request.param))
 
 
@@ -120,9 +120,9 @@ class TestFirstSave:
         monkeypatch.setattr(running, "last", ())
         save(project / "scene.blend")
         assert baked_path(*baked_volumes(bpy.context.scene)) == unsaved
-        (told,) = running.last
-        assert told.startswith(f"{unsaved} could not be copied beside the .blend and stays")
-        assert told in capsys.readouterr().err
+        (note,) = running.last
+        assert note.startswith(f"{unsaved} could not be copied beside the .blend and stays")
+        assert note in capsys.readouterr().err
         assert not [path for path in project.rglob("*.vdb*") if path.is_file()]
         bpy.ops.wm.open_mainfile(filepath=str(project / "scene.blend"))
         assert baked_path(*baked_volumes(bpy.context.scene)) == unsaved
@@ -131,11 +131,13 @@ class TestFirstSave:
     def test_what_an_earlier_version_kept_in_its_own_folder_comes_along(
         self, scene, project, tmp_path, monkeypatch
     ):
-        own = tmp_path / "extension"
-        (own / "baked").mkdir(parents=True)
+        extension = tmp_path / "extension"
+        (extension / "baked").mkdir(parents=True)
         monkeypatch.setattr(saving, "__package__", "bl_ext.user_default.lb_lighting.lb_lighting")
-        monkeypatch.setattr(bpy.utils, "extension_path_user", lambda _name, path: str(own / path))
-        path = baked_path(light(scenery.add_fog(tmp_path), folder=own / "baked"))
+        monkeypatch.setattr(
+            bpy.utils, "extension_path_user", lambda _name, path: str(extension / path)
+        )
+        path = baked_path(light(scenery.add_fog(tmp_path), folder=extension / "baked"))
         save(project / "scene.blend")
         assert shown()[0] == f"//{path.name}"
         assert (project / path.name).exists()
@@ -205,19 +207,19 @@ class TestCommandLine:
         assert blend.with_name("scene.blend1").read_bytes() == before
         assert sorted(os.listdir(blend.parent)) == ["scene.blend", "scene.blend1"]
 
-    @pytest.mark.parametrize("wanted", [0, 1, 2])
-    def test_as_many_versions_are_kept_as_the_user_wants(self, project, wanted):
+    @pytest.mark.parametrize("count", [0, 1, 2])
+    def test_as_many_versions_are_kept_as_the_user_wants(self, project, count):
         blend, paths = project / "scene.blend", bpy.context.preferences.filepaths
-        paths.save_version, usual = wanted, paths.save_version
+        paths.save_version, usual = count, paths.save_version
         try:
             for text in ("first", "second", "third"):
                 blend.write_text(text)
-                saving.save(blend)
+                blend_file.save(blend)
         finally:
             paths.save_version = usual
-        kept = [blend.with_name(f"scene.blend{n}") for n in range(1, wanted + 1)]
-        assert [path.read_text() for path in kept] == ["third", "second"][:wanted]
-        assert len(os.listdir(project)) == 1 + wanted
+        kept = [blend.with_name(f"scene.blend{n}") for n in range(1, count + 1)]
+        assert [path.read_text() for path in kept] == ["third", "second"][:count]
+        assert len(os.listdir(project)) == 1 + count
 
     def test_paths_are_relative_to_where_it_is(self, blend, tmp_path):
         (tmp_path / "lit").mkdir()
@@ -270,7 +272,7 @@ class TestCommandLine:
         self, scene, home, project, tmp_path
     ):
         path = baked_path(light(scenery.add_fog(tmp_path), folder=home))
-        saving.save(project / "lit.blend")
+        blend_file.save(project / "lit.blend")
         assert sorted(os.listdir(project)) == [path.name, "lit.blend"]
         bpy.ops.wm.open_mainfile(filepath=str(project / "lit.blend"))
         assert shown()[0] == f"//{path.name}"
@@ -290,18 +292,18 @@ def on_small_disk(folder, size, script):
 
 @pytest.mark.skipif(not shutil.which("unshare"), reason="needs namespaces of Linux")
 class TestFullDisk:
-    """A disk of the system's own, and the command in a process of its own."""
+    """On a real disk, with the command in a separate process."""
 
     def test_the_blend_stays(self, blend, tmp_path):
         disk = tmp_path / "disk"
         disk.mkdir()
         size = f"{int(1.5 * blend.stat().st_size / 1024)}k"
-        there = disk / "scene.blend"
+        copy = disk / "scene.blend"
         done = on_small_disk(
             disk,
             size,
-            f"cp {blend} {there}; {sys.executable} -m lb_lighting clear {there}; code=$?; "
-            f"ls -A {disk}; cmp {blend} {there} && exit $code",
+            f"cp {blend} {copy}; {sys.executable} -m lb_lighting clear {copy}; code=$?; "
+            f"ls -A {disk}; cmp {blend} {copy} && exit $code",
         )
         assert done.returncode == 1
         assert done.stdout.splitlines()[-1] == "scene.blend"
@@ -331,7 +333,7 @@ class TestFullDisk:
 
 @pytest.mark.parametrize("missing", [40, 0.5])
 def test_a_part_of_a_vdb_replaces_nothing(tmp_path, monkeypatch, missing):
-    """Also where the disk has room again by the time that it is asked."""
+    """Even if the disk has free space again when it is checked."""
     path = write_light(tmp_path / "a.vdb")
     before, write = path.read_bytes(), openvdb.write
 

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever users do to a source or to its light: what is theirs stays, and nothing stays hidden."""
+"""Whatever users do to a source or its light, their objects stay, and none stays hidden."""
 
 import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake, ties
+from lb_lighting import bake
 from lb_lighting.clearing import clear
-from lb_lighting.output.volume import APPENDED, RESULT, baked_path, baked_volumes, is_foreign
+from lb_lighting.output import ties
+from lb_lighting.output.sources import RESULT, is_lost, scene_objects
+from lb_lighting.output.volume import APPENDED, baked_path, baked_volumes, is_foreign
 from tests import scenery
 from tests.keeping import hidden, light
 from tests.scenery import bake_light, snapshot
@@ -20,7 +22,7 @@ def fog(scene, tmp_path):
 
 @pytest.fixture
 def baked(fog, tmp_path):
-    """The light of the fog, in a collection of its own; it is in an undo step."""
+    """The light of the fog, in its own collection and in an undo step."""
     ob = light(fog, folder=tmp_path)
     collection = bpy.data.collections.new("light")
     bpy.context.scene.collection.children.link(collection)
@@ -54,7 +56,7 @@ def move_to_another_scene(ob):
 
 
 def duplicate(*objects):
-    """Copies as the user makes them, in the order of their names."""
+    """Copies that the user made, in the order of their names."""
     scenery.select(*objects)
     bpy.ops.object.duplicate()
     bpy.context.view_layer.update()
@@ -90,8 +92,8 @@ class TestDeletedLight:
         lose(ob)
         cleared = clear(bpy.context)
         assert cleared.count == 1
-        for rest in list(bpy.data.collections):
-            bpy.data.collections.remove(rest)
+        for collection in list(bpy.data.collections):
+            bpy.data.collections.remove(collection)
         bpy.data.orphans_purge()
         after = snapshot()
         assert {name: after.get(name) for name in before} == before
@@ -105,12 +107,12 @@ class TestDeletedLight:
 
     def test_undo_brings_the_light_back_and_hides_the_source(self, baked):
         delete(baked)
-        found = []
+        states = []
         for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
             step()
             fog = bpy.data.objects["fog"]
-            found.append((len(baked_volumes(bpy.context.scene)), *hidden(fog)))
-        assert found == [(1, True), (0, False), (1, True)]
+            states.append((len(baked_volumes(bpy.context.scene)), *hidden(fog)))
+        assert states == [(1, True), (0, False), (1, True)]
 
     def test_light_that_is_linked_again_hides_the_source(self, fog, baked):
         unlink(baked)
@@ -236,7 +238,7 @@ class TestCopies:
         assert hidden(fog, copy) == [False, False]
 
     def test_source_and_light_copied_together_are_a_pair(self, fog, baked):
-        fog.hide_viewport = False  # as in the outliner, where hidden objects are copied, too
+        fog.hide_viewport = False  # as in the outliner, which also copies hidden objects
         bpy.context.view_layer.update()
         copied_light, copy = duplicate(fog, baked)
         copy.hide_viewport = fog.hide_viewport = True
@@ -295,7 +297,7 @@ class TestAppended:
         cleared = clear(bpy.context)
         assert hidden(fog) == [False]
         (note,) = cleared.delete_files()
-        assert note == f"{path} was kept, because it came here from another .blend."
+        assert note == f"{path} was kept, because it belongs to another .blend."
         assert path.exists()
 
     def test_what_is_linked_is_left_to_its_file(self, library):
@@ -332,7 +334,7 @@ class TestAppended:
 
 
 def test_many_objects_take_no_time_that_is_felt(scene, tmp_path):
-    """What is looked at grows with the objects, not with objects times sources."""
+    """The number of lookups grows with the objects, not with objects times sources."""
     sources = [scenery.source(f"leaf {n}") for n in range(30)]
     light(*sources, folder=tmp_path)
     looked = np.zeros(2, int)
@@ -342,6 +344,6 @@ def test_many_objects_take_no_time_that_is_felt(scene, tmp_path):
             looked[0] += 1
             return super().__contains__(item)
 
-    scenes = [Counted(objects) for objects in ties.scene_objects()]
-    assert not any(ties.is_lost(source, scenes) for source in sources)
+    scenes = [Counted(objects) for objects in scene_objects()]
+    assert not any(is_lost(source, scenes) for source in sources)
     assert looked[0] == 2 * len(sources)
