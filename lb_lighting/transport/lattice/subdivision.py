@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Voxels that are too thick for the lattice, divided, and light put together in them again.
+"""How finely voxels that are too thick for the lattice have to be divided.
 
 docs/theory/physics.md, "Voxels that are too thick", says what was measured.
 """
 
-from dataclasses import replace
 from math import ceil
 
 import numpy as np
 
 from ...errors import MediumError
-from ..medium import repeated
 
 # Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
 # paths of scattering, and in diffusion lengths of absorption (docs/theory/physics.md says why).
@@ -37,31 +35,3 @@ def wished_pieces(medium):
             "or lower the density."
         )
     return max(thick, dark), dark
-
-
-def divided(light, pieces):
-    """A light for a medium of which each voxel is divided."""
-    shadow = getattr(light, "shadow_density", None)
-    return light if shadow is None else replace(light, shadow_density=repeated(shadow, pieces))
-
-
-def merged(field, pieces):
-    """The field of a divided medium, in the voxels that it had before."""
-
-    def mean(values):
-        if values is None:
-            return None
-        *outer, nx, ny, nz = values.shape
-        split = (nx // pieces, pieces, ny // pieces, pieces, nz // pieces, pieces)
-        return values.reshape(*outer, *split).mean(axis=(-5, -3, -1))
-
-    domain = field.domain
-    coarse = replace(
-        domain,
-        voxel_size=domain.voxel_size * pieces,
-        shape=tuple(n // pieces for n in domain.shape),
-    )
-    variance = None if field.variance is None else mean(field.variance) / pieces**3
-    names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
-    grids = {name: mean(getattr(field, name)) for name in names}
-    return replace(field, domain=coarse, variance=variance, handed=None, **grids)

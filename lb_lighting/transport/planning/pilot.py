@@ -19,7 +19,7 @@ from .. import device as devices
 from ..box import matter
 from ..lattice.subdivision import wished_pieces
 from ..lights.distant import FEW_VOXELS, Sky, Sun
-from ..resample import coarse
+from ..resample import Resampling
 from ..solver import solve
 from .visibility import mean_share, size, weights
 
@@ -94,7 +94,8 @@ def fly(medium, lights, settings, target, device=None, cancel=None, *, thin=None
     whole, medium = medium, _within(medium, box)
     pieces = ceil(max(medium.shape) / _EDGE)
     small = medium if pieces == 1 else medium.merged(pieces)
-    small_lights = [_as_a_point(coarse(_shaded_within(light, box), pieces)) for light in lights]
+    small_lights = Resampling(merge=pieces).lights([_shaded_within(light, box) for light in lights])
+    small_lights = [_as_a_point(light) for light in small_lights]
 
     def solved(**changes):
         plain = {"scattering": "multiple", "rays": 1.0, "merge": 1, "handover": 0.0}

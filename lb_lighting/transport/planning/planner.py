@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import DeviceError, require_known
 from .. import device as devices
 from ..box import matter
-from ..hybrid import is_within
+from ..collision_source import is_soft_within
 from ..lights.distant import FEW_VOXELS
 from ..medium import deepest
 from ..solver import Settings, require_memory
@@ -129,7 +129,7 @@ def plan(
     pilot = fly(medium, lights, base, target, device, cancel, thin=told, scattered=scattered)
     edge = max(matter(medium, lights).shape)
     # Photons do not know of a lamp's radius, which counts where it stands in the medium.
-    soft = any(getattr(light, "radius", 0) and is_within(light, medium.domain) for light in lights)
+    soft = any(is_soft_within(light, medium.domain) for light in lights)
     choices = []
     for settings in _candidates(base, fixed, edge, (0.0,) if soft else _HANDOVERS):
         settings, error = _expected_error(settings, pilot, medium, edge, target)
