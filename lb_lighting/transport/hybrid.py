@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DeviceError, LightError
-from . import device as devices
 from .backend import backend_of
 from .band_light import BandLight, dark_field
 from .bands import runs_of, together
@@ -31,6 +30,7 @@ from .lattice.subdivision import wished_pieces
 from .lights.base import darkness
 from .lights.emission import Emission
 from .medium import Medium
+from .memory import DOUBLE, FLOAT, Footprint, require_memory
 from .monitor import Monitor
 from .multiple_scattering import scatter
 from .photons.trace import trace
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from .solver import Settings
 
 _PHOTONS_A_VOXEL = 64
+_FIELD = 1 + 1 + 3 + 3  # numbers a voxel and band: fluence, direct light, both fluxes
+# Likewise of photons: fluence, direct light, flux, variance, collision source.
+_TRACED = 1 + 1 + 3 + 1 + (1 + 3 + 3)
 _TRACING, _CASTING = 0.5, 0.3  # share of the time: about that of photons; of rays in the remainder
 
 
@@ -208,9 +211,7 @@ def _pieces(
             return needed
         shape = tuple(pieces * n for n in medium.shape)
         arguments = (medium.bands, medium.occlusion is not None, lights)
-        return devices.require_memory(
-            device, shape, lambda s: plan(s, settings, device, *arguments)
-        )
+        return require_memory(device, shape, lambda s: footprint(s, settings, device, *arguments))
 
     try:
         return wished, bytes_of(wished)
@@ -223,31 +224,62 @@ def _pieces(
         return must, bytes_of(must)
 
 
-def plan(shape, settings, device, bands, occluded, lights=4):
-    """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
+def footprint(
+    shape: Sequence[int],
+    settings: "Settings",
+    device: Device,
+    bands: int,
+    occluded: bool,
+    lights: int = 4,
+) -> Footprint:
+    """The memory of a solve of `shape` voxels for a number of lights.
+
+    occluded  whether the medium has opaque voxels
+    """
     if settings.merge > 1 and settings.scattering == "multiple":
-        large = tuple(-(-n // settings.merge) for n in shape)
-        rest = (device, bands, occluded, lights)
-        buffers, host = plan(shape, replace(settings, scattering="single"), *rest)
-        more, more_host = plan(large, replace(settings, merge=1), *rest)
-        kept = bands * (2 + 3 + 3 + 2 * lights) * 4 * prod(shape)
-        buffers = max(buffers, more, key=lambda needs: sum(needs.values()))
-        return buffers, max(host, kept + more_host)
-    rays, casting_bytes = casting.plan(shape, occluded)
-    single = settings.scattering == "single"
-    lattice = {} if single else backend_of(device).lattice_memory(shape, occluded)
+        return _footprint_of_merged(shape, settings, device, bands, occluded, lights)
     voxels = prod(shape)
-    traced = 13 if settings.handover or settings.traced_collisions > 1 else 0
-    fields = bands * (1 + 1 + 3 + 3 + 2 * lights + traced) * 4
-    band, handed = 7 * 8 + 2 * lights * 4, bands * 8 * 8  # its light, and what is handed over
-    # With the forward peak and without, of a band and of another that shares its rays.
-    casts = 2 * min(bands, 2) * (11 + 7 * occluded) * 4
-    # One after the other, not both at once: rays, and the lattice with its source made ready.
-    needs = [
-        sum(rays.values()) + casting_bytes + casts * voxels,
-        sum(lattice.values()) + (4 + 4) * 8 * voxels,
-    ]
-    buffers = max(rays, lattice, key=lambda plan: sum(plan.values()))
-    opaque = (1 + 16) * 8 * occluded  # what it is, and to find where light meets it
-    always = (4 + opaque + fields + band + handed) * voxels
-    return buffers, always + max(needs) - sum(buffers.values())
+    # Rays are cast first, then the lattice runs: they share the memory.
+    casts = casting.footprint(shape, occluded)
+    kept_casts = 2 * min(bands, 2)  # with and without forward peak; of a band and one like it
+    cast = 11 + 7 * occluded  # direct, its direction, moments of collisions; reflected light
+    casts = replace(casts, host=casts.host | {"casts": kept_casts * cast * FLOAT * voxels})
+    lattice = Footprint({})
+    if settings.scattering != "single":
+        lattice = Footprint(backend_of(device).lattice_memory(shape, occluded))
+    source = 1 + 3  # power, drift
+    lattice = replace(lattice, host={"lattice source": 2 * source * DOUBLE * voxels})
+    buffers = casts.or_larger(lattice).device
+    work = max(casts.total, lattice.total) - sum(buffers.values())
+
+    has_photons = settings.handover or settings.traced_collisions > 1
+    field = _FIELD + 2 * lights  # with uncollided light and forward peak, by light
+    per_voxel = {
+        "density": FLOAT,
+        "opaque voxels": DOUBLE * occluded,
+        "borders of opaque voxels": 16 * DOUBLE * occluded,
+        "field": bands * field * FLOAT,
+        "photons' light": bands * (_TRACED if has_photons else 0) * FLOAT,
+        "light of a band": (1 + 3 + 3) * DOUBLE + 2 * lights * FLOAT,
+        "collision sources": bands * (1 + 1 + 3 + 3) * DOUBLE,
+    }
+    arrays = {what: size * voxels for what, size in per_voxel.items()}
+    return Footprint(buffers, arrays | {"casts or lattice": work})
+
+
+def _footprint_of_merged(
+    shape: Sequence[int],
+    settings: "Settings",
+    device: Device,
+    bands: int,
+    occluded: bool,
+    lights: int,
+) -> Footprint:
+    """The memory of a solve of uncollided light, then of scattered light in merged voxels."""
+    single, multiple = replace(settings, scattering="single"), replace(settings, merge=1)
+    uncollided = footprint(shape, single, device, bands, occluded, lights)
+    merged = tuple(-(-n // settings.merge) for n in shape)
+    scattered = footprint(merged, multiple, device, bands, occluded, lights)
+    kept = bands * (_FIELD + 2 * lights) * FLOAT * prod(shape)
+    scattered = replace(scattered, host=scattered.host | {"field of uncollided light": kept})
+    return uncollided.or_larger(scattered)

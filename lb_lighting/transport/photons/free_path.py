@@ -31,6 +31,7 @@ from ...errors import (
 )
 from .. import device as devices
 from ..backend import backend_of
+from ..memory import Footprint, require_memory
 from . import majorants
 from .perlin import PerlinMedium
 
@@ -180,7 +181,7 @@ class FreePathSampler:
             raise SettingsError(f"The medium has no band {band}; it has {medium.bands}.")
         self.device = devices.choose(device)
         require_whole(most_steps, "number of steps", 1, 2**31 - 1)
-        devices.require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
+        require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
         self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
         self.paths = backend_of(self.device).paths(self.grid)
         self.band, self.most_steps = band, most_steps
@@ -217,8 +218,8 @@ class FreePathSampler:
 
 
 def _plan(shape, medium):
-    """({what: bytes} on the device, bytes on the host): at least the density must fit."""
-    return {"density": 0 if isinstance(medium, PerlinMedium) else 4 * prod(shape)}, 0
+    """The `Footprint`: at least the density must fit."""
+    return Footprint({"density": 0 if isinstance(medium, PerlinMedium) else 4 * prod(shape)})
 
 
 def sample_free_paths(

@@ -33,6 +33,7 @@ from ..field import (
 from ..lights.base import darkness, multiple
 from ..lights.emission import Emission
 from ..medium import Domain
+from ..memory import Footprint, require_memory
 from ..monitor import Monitor
 from . import tallies
 from .free_path import (
@@ -123,9 +124,9 @@ def trace(
         shape = _tally_shape(medium, tallied)
         wanted = direct, flux, handover is not None
         # Twice: the device works for the bound already, and how large that is shows only then.
-        devices.require_memory(used, shape, lambda s: _plan(s, medium, wanted))
+        require_memory(used, shape, lambda s: _plan(s, medium, wanted))
         grid = path_grid(medium, sampler, interpolation, supervoxel, used)
-        needed = devices.require_memory(used, shape, lambda s: _plan(s, medium, wanted, grid))
+        needed = require_memory(used, shape, lambda s: _plan(s, medium, wanted, grid))
         batches = _batches(photons, prod(shape))
         runs = _runs(medium, lights, photons, batches, 1 if direct else _COPIES, seed)
         per_cell = shape[0] / (grid.fine.upper[0] - grid.fine.lower)
@@ -201,7 +202,7 @@ def _batches(photons, voxels):
 
 
 def _plan(shape, medium, wanted, grid=None):
-    """({what: bytes} on the device, bytes on the host) of a trace into `shape` voxels."""
+    """The `Footprint` of a trace into `shape` voxels."""
     voxels, kinds = prod(shape), tallies.kinds(*wanted)
     names = ("direct", "scattered", "handed")
     plan = {f"{name} light": 8 * n * voxels for name, n in zip(names, kinds, strict=True)}
@@ -212,10 +213,12 @@ def _plan(shape, medium, wanted, grid=None):
         plan["density"] = grid.fine.values.nbytes
     if grid is not None and grid.bound is not None:
         plan["bound"] = grid.bound.values.nbytes
-    field = medium.bands * (sum(kinds) + 1) * 4 * voxels
-    work = (sum(kinds) + 2 * max(kinds)) * 4 * voxels
-    photons = 4 * 7 * 8 * _AT_ONCE
-    return plan, field + work + photons
+    arrays = {
+        "field": medium.bands * (sum(kinds) + 1) * 4 * voxels,
+        "work": (sum(kinds) + 2 * max(kinds)) * 4 * voxels,
+        "photons": 4 * 7 * 8 * _AT_ONCE,
+    }
+    return Footprint(plan, arrays)
 
 
 def _runs(medium, lights, photons, batches, copies, seed):

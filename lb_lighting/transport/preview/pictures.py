@@ -27,6 +27,7 @@ from ..backend import backend_of
 from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
+from ..memory import Footprint, require_memory
 from ..photons.free_path import enter, path_grid, refuse_violations
 from ..photons.perlin import PerlinMedium
 
@@ -161,7 +162,7 @@ class _Look:
     def __init__(self, medium, lights, view, device, sampler, scatterings):
         if medium.bands not in (1, 3):
             raise MediumError(f"A preview shows one band or three; the medium has {medium.bands}.")
-        devices.require_memory(device, medium.shape, lambda shape: _plan(shape, medium))
+        require_memory(device, medium.shape, lambda shape: _plan(shape, medium))
         self.medium, self.view, self.scatterings = medium, view, scatterings
         self.lost = 0.0
         self.skies = [light.seen(medium.bands) for light in lights if isinstance(light, Sky)]
@@ -203,14 +204,15 @@ class _Look:
 
 
 def _plan(shape, medium):
-    """({what: bytes} on the device, bytes on the host)."""
+    """The `Footprint` of pictures of a medium of `shape` voxels."""
     voxels = 0 if isinstance(medium, PerlinMedium) else prod(shape)
     shining, opaque = (getattr(medium, n, None) is not None for n in ("emission", "occlusion"))
-    return {
+    buffers = {
         "density and its bound": 8 * voxels,
         "emission": 16 * voxels * shining,
         "opaque voxels": 20 * voxels * opaque,
-    }, 8 * voxels
+    }
+    return Footprint(buffers, {"density and its bound": 8 * voxels})
 
 
 def _targets(lights, medium, grid):

@@ -17,6 +17,7 @@ from ..backend import backend_of
 from ..box import Box
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
+from ..memory import DOUBLE, FLOAT, Footprint
 from ..monitor import UNHEARD
 from .march import (
     DIRECTION,
@@ -193,16 +194,20 @@ def cast(medium, light, band, sigma_t, device=None, per_edge=10, monitor=UNHEARD
     return _marched(medium, box, light, band, sigma_t, device, per_edge, monitor)
 
 
-def plan(shape, occluded=True):
-    """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
+def footprint(shape, occluded=True):
+    """The `Footprint` of a cast into `shape` voxels."""
     voxels = prod(shape)
-    buffers = {"unscattered light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
+    buffers = {"unscattered light": DOUBLE * TALLIES * voxels, "voxels": FLOAT * voxels}
     if occluded:
-        buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
+        buffers |= {"reflected light": DOUBLE * voxels, "opaque voxels": DOUBLE * voxels}
     kinds = TALLIES + (1 if occluded else 0)
-    work = 8 * (TALLIES + 3) * voxels
-    rays = 40 * 8 * 2 * _AT_ONCE
-    return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
+    arrays = {
+        "scores": FLOAT * (kinds + 3) * voxels,
+        "depth": FLOAT * voxels,
+        "work": DOUBLE * (TALLIES + 3) * voxels,
+        "rays": 40 * DOUBLE * 2 * _AT_ONCE,
+    }
+    return Footprint(buffers, arrays)
 
 
 def _marched(medium, box, light, band, sigma_t, device, per_edge, monitor):
