@@ -10,7 +10,6 @@ import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
-from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -180,39 +179,6 @@ def _opens(device):
             troubles.append(str(error))
         return False
     return True
-
-
-def require_memory(device, shape, plan):
-    """Refuse a lattice that does not fit, before anything is allocated.
-
-    plan  function of a shape that returns ({what: bytes} of buffers on the device, bytes of
-          arrays on the host); the second counts where the device shares the host's memory
-    Returns the bytes to be had; DeviceError says the largest resolution that fits.
-    """
-    if _fits(device, *plan(shape)):
-        return _total(device, *plan(shape))
-    low, high = 0, max(shape)
-    while high - low > 1:  # the largest edge that fits lies in [low, high)
-        resolution = (low + high) // 2
-        scaled = [max(1, ceil(n * resolution / max(shape))) for n in shape]
-        low, high = (resolution, high) if _fits(device, *plan(scaled)) else (low, resolution)
-    raise DeviceError(
-        f"{' x '.join(map(str, shape))} voxels need {_total(device, *plan(shape)) / 2**30:.1f} "
-        f"GiB, and {device.label} can take {device.memory / 2**30:.1f} GiB "
-        f"({device.largest_buffer / 2**30:.1f} GiB in one piece); "
-        f"the largest resolution that fits is {low}."
-    )
-
-
-def _total(device, buffers, arrays):
-    return sum(buffers.values()) + (arrays if device.shares_memory else 0)
-
-
-def _fits(device, buffers, arrays):
-    return (
-        max(buffers.values()) <= device.largest_buffer
-        and _total(device, buffers, arrays) <= device.memory
-    )
 
 
 @cache

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ..errors import SettingsError, require_known, require_whole
 from . import device as devices
-from . import hybrid
+from . import hybrid, memory
 from .field import Clock
 from .monitor import Monitor
 from .paper import model as paper
@@ -135,7 +135,7 @@ def require_memory(shape, settings=None, device=None, bands=3, occluded=True, li
     """
     settings = settings or Settings()
     chosen = devices.choose(device)
-    plan = MODELS[settings.model].plan
-    return devices.require_memory(
-        chosen, shape, lambda s: plan(s, settings, chosen, bands, occluded, lights)
+    footprint = MODELS[settings.model].footprint
+    return memory.require_memory(
+        chosen, shape, lambda s: footprint(s, settings, chosen, bands, occluded, lights)
     )

@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Voxels that are too thick for the lattice, divided before the solve and merged after it.
+"""How finely voxels that are too thick for the lattice have to be divided.
 
 docs/theory/physics.md, "Voxels that are too thick", has the measurements.
 """
 
-from dataclasses import replace
 from math import ceil
-from typing import Any
 
 import numpy as np
 
 from ...errors import MediumError
-from ..field import Field
-from ..lights.base import Light
-from ..medium import Medium, repeated
+from ..medium import Medium
 
 # The edge of a voxel, weighted by density, above which voxels are divided: in transport mean free
 # paths, and in diffusion lengths.
@@ -41,30 +37,3 @@ def wished_pieces(medium: Medium) -> tuple[int, int]:
             "lower the density."
         )
     return max(thick, dark), dark
-
-
-def divided(light: Light, pieces: int) -> Light:
-    """The light for a medium whose voxels are divided."""
-    return light.with_shadow_density(lambda density: repeated(density, pieces))
-
-
-def merged(field: Field, pieces: int) -> Field:
-    """The field of a divided medium, in the medium's own voxels."""
-
-    def mean(values: Any) -> Any:
-        if values is None:
-            return None
-        *outer, nx, ny, nz = values.shape
-        split = (nx // pieces, pieces, ny // pieces, pieces, nz // pieces, pieces)
-        return values.reshape(*outer, *split).mean(axis=(-5, -3, -1))
-
-    domain = field.domain
-    coarse = replace(
-        domain,
-        voxel_size=domain.voxel_size * pieces,
-        shape=tuple(n // pieces for n in domain.shape),
-    )
-    variance = None if field.variance is None else mean(field.variance) / pieces**3
-    names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
-    grids = {name: mean(getattr(field, name)) for name in names}
-    return replace(field, domain=coarse, variance=variance, handed=None, **grids)

@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's model: all light on the lattice of paper 1, section 3, for its number of steps."""
 
+from collections.abc import Sequence
 from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...errors import LightError, MediumError
 from ..backend import backend_of
+from ..device import Device
 from ..field import Field, Report
 from ..lattice.d3q19 import UNIT, WEIGHTS
 from ..lights.base import by_band
 from ..lights.distant import Sky, Sun
 from ..medium import SMALLEST_EDGE
+from ..memory import DOUBLE, FLOAT, Footprint
 from .collision import collision_matrix
+
+if TYPE_CHECKING:
+    from ..solver import Settings
 
 _REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
 
@@ -52,13 +59,23 @@ def solve(medium, lights, settings, device, clock, needed, monitor):
     return Field(medium.domain, light, np.zeros_like(light), flux, report)
 
 
-def plan(shape, settings, device, bands, occluded, lights=0):
-    """({what: bytes} on the device, bytes on the host) of a solve of `shape` voxels."""
-    buffers = backend_of(device).paper_memory(shape, settings.kernel, occluded)
-    medium = 4 + (4 if occluded else 0)
-    field = bands * (1 + 1 + 3) * 4  # fluence, direct, flux
-    work = 3 * 8  # the light now, the light before, their difference
-    return buffers, (medium + field + work) * prod(shape)
+def footprint(
+    shape: Sequence[int],
+    settings: "Settings",
+    device: Device,
+    bands: int,
+    occluded: bool,
+    lights: int = 4,
+) -> Footprint:
+    """The memory of a solve of `shape` voxels; the lights need none."""
+    per_voxel = {
+        "density": FLOAT,
+        "opaque voxels": FLOAT * occluded,
+        "field": bands * (1 + 1 + 3) * FLOAT,  # fluence, direct, flux
+        "last steps": 3 * DOUBLE,  # the light of the last two, and their difference
+    }
+    arrays = {what: size * prod(shape) for what, size in per_voxel.items()}
+    return Footprint(backend_of(device).paper_memory(shape, settings.kernel, occluded), arrays)
 
 
 def boundary_inflow(lights, bands):

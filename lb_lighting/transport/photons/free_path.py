@@ -17,7 +17,7 @@ order in the edge of the finest cell.
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import prod
 
 import numpy as np
@@ -34,6 +34,7 @@ from .. import device as devices
 from ..backend import backend_of
 from ..device import Device
 from ..medium import Medium
+from ..memory import FLOAT, Footprint, require_memory
 from .linear_majorants import linear_majorants
 from .majorants import (
     FineGrid,
@@ -154,7 +155,7 @@ class FreePathSampler:
             raise SettingsError(f"The medium has no band {band}; it has {medium.bands}.")
         self.device = devices.choose(device)
         require_whole(most_steps, "number of steps", 1, 2**31 - 1)
-        devices.require_memory(self.device, medium.shape, lambda shape: _plan(shape, medium))
+        require_memory(self.device, medium.shape, lambda shape: _footprint(shape, medium))
         self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
         self.paths = backend_of(self.device).paths(self.grid)
         self.band, self.most_steps = band, most_steps
@@ -190,9 +191,9 @@ class FreePathSampler:
         return distances, particles
 
 
-def _plan(shape: tuple[int, ...], medium: Medium | PerlinMedium) -> tuple[dict[str, int], int]:
-    """({what: bytes} on the device, bytes on the host): at least the density must fit."""
-    return {"density": 0 if isinstance(medium, PerlinMedium) else 4 * prod(shape)}, 0
+def _footprint(shape: Sequence[int], medium: Medium | PerlinMedium) -> Footprint:
+    """The memory of a density of `shape` voxels, which must fit at least."""
+    return Footprint({"density": 0 if isinstance(medium, PerlinMedium) else FLOAT * prod(shape)})
 
 
 def sample_free_paths(

@@ -12,7 +12,7 @@ and reflects the share of its albedo by the cosine (Lambert), as scattered light
 hinder light that leaves it: where all is white, a voxel holds the share 1 - occlusion of the light.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import prod
 
 import numpy as np
@@ -25,6 +25,7 @@ from ..device import Device
 from ..field import Clock, Field, PhotonReport
 from ..lights.base import Light
 from ..medium import Medium
+from ..memory import DOUBLE, FLOAT, Footprint, require_memory
 from ..monitor import Cancel, Monitor, Progress
 from . import tallies
 from .estimates import Estimates
@@ -152,10 +153,10 @@ class _Tracer:
         return self.estimates.field(report)
 
     def _require_memory(self, grid: PathGrid | None) -> int:
-        def plan(shape: tuple[int, ...]) -> tuple[dict[str, int], int]:
-            return _plan(shape, self.medium, self.wanted, grid)
+        def footprint(shape: Sequence[int]) -> Footprint:
+            return _footprint(shape, self.medium, self.wanted, grid)
 
-        return devices.require_memory(self.device, self.shape, plan)
+        return require_memory(self.device, self.shape, footprint)
 
     def _trace(self, run: Run, monitor: Monitor) -> Floats:
         """Trace a run batch by batch.
@@ -246,27 +247,29 @@ def _tally_shape(medium: Medium | PerlinMedium, tallied: int | None) -> tuple[in
     return (edge,) * 3
 
 
-def _plan(
-    shape: tuple[int, ...],
+def _footprint(
+    shape: Sequence[int],
     medium: Medium | PerlinMedium,
     wanted: Wanted,
     grid: PathGrid | None = None,
-) -> tuple[dict[str, int], int]:
-    """({what: bytes} on the device, bytes on the host) of a trace into `shape` voxels."""
+) -> Footprint:
+    """The memory of a trace into `shape` voxels; grid counts once it is made."""
     voxels, kinds = prod(shape), tallies.kinds(*wanted)
     names = ("direct", "scattered", "handed")
-    plan = {f"{name} light": 8 * n * voxels for name, n in zip(names, kinds, strict=True)}
-    plan["scattered light before"], plan["variance"] = 8 * voxels, 4 * voxels
+    buffers = {f"{name} light": DOUBLE * n * voxels for name, n in zip(names, kinds, strict=True)}
+    buffers["scattered light before"], buffers["variance"] = DOUBLE * voxels, FLOAT * voxels
     if medium.occlusion is not None:
-        plan["opaque voxels"] = 8 * voxels
+        buffers["opaque voxels"] = 8 * voxels
     if grid is not None and not grid.procedural:
-        plan["density"] = grid.fine.values.nbytes
+        buffers["density"] = grid.fine.values.nbytes
     if grid is not None and grid.majorants is not None:
-        plan["majorants"] = grid.majorants.values.nbytes
-    field = medium.bands * (sum(kinds) + 1) * 4 * voxels
-    work = (sum(kinds) + 2 * max(kinds)) * 4 * voxels
-    photons = 4 * 7 * 8 * AT_ONCE
-    return plan, field + work + photons
+        buffers["majorants"] = grid.majorants.values.nbytes
+    arrays = {
+        "field": medium.bands * (sum(kinds) + 1) * FLOAT * voxels,
+        "work": (sum(kinds) + 2 * max(kinds)) * FLOAT * voxels,
+        "photons": 4 * 7 * DOUBLE * AT_ONCE,
+    }
+    return Footprint(buffers, arrays)
 
 
 def _stop_at_border(photons: Floats, occlusion: Floats, albedo: Floats) -> Floats:

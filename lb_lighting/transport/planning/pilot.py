@@ -27,7 +27,7 @@ from ..lights.base import Light
 from ..lights.distant import FEW_VOXELS, Sky, Sun
 from ..medium import Medium
 from ..monitor import Cancel
-from ..resample import coarse
+from ..resample import Resampling
 from ..solver import Settings, solve
 from .visibility import mean_share, size, weights
 
@@ -112,9 +112,8 @@ def fly(
     whole, medium = medium, _within(medium, box)
     pieces = ceil(max(medium.shape) / _EDGE)
     small = medium if pieces == 1 else medium.merged(pieces)
-    small_lights = [
-        coarse(light.with_shadow_density(box.of), pieces).hardened() for light in lights
-    ]
+    cropped = [light.with_shadow_density(box.of).hardened() for light in lights]
+    small_lights = Resampling(merge=pieces).lights(cropped)
 
     def solved(**changes: Any) -> Field:
         plain: dict[str, Any] = {"scattering": "multiple", "rays": 1.0, "merge": 1, "handover": 0.0}

@@ -31,6 +31,7 @@ from ..lights.base import Light, by_band
 from ..lights.distant import Sky, Sun
 from ..lights.lamps import PointLight
 from ..medium import Domain, Medium
+from ..memory import FLOAT, Footprint, require_memory
 from ..photons.free_path import path_grid, refuse_violations
 from ..photons.path_grid import PathGrid, enter
 from ..photons.perlin import PerlinMedium
@@ -179,7 +180,7 @@ class _Camera:
     ) -> None:
         if medium.bands not in (1, 3):
             raise MediumError(f"A preview shows one band or three; the medium has {medium.bands}.")
-        devices.require_memory(device, medium.shape, lambda shape: _plan(shape, medium))
+        require_memory(device, medium.shape, lambda shape: _footprint(shape, medium))
         self.medium, self.view, self.scatterings = medium, view, scatterings
         self.lost = 0.0
         self.skies = [light.seen(medium.bands) for light in lights if isinstance(light, Sky)]
@@ -220,15 +221,16 @@ class _Camera:
         return seen[:, :3], seen[:, 3]
 
 
-def _plan(shape: tuple[int, ...], medium: Medium | PerlinMedium) -> tuple[dict[str, int], int]:
-    """({what: bytes} on the device, bytes on the host)."""
+def _footprint(shape: Sequence[int], medium: Medium | PerlinMedium) -> Footprint:
+    """The memory of pictures of a medium of `shape` voxels."""
     voxels = 0 if isinstance(medium, PerlinMedium) else prod(shape)
     shining, opaque = medium.emission is not None, medium.occlusion is not None
-    return {
-        "density and its majorants": 8 * voxels,
-        "emission": 16 * voxels * shining,
-        "opaque voxels": 20 * voxels * opaque,
-    }, 8 * voxels
+    buffers = {
+        "density and its majorants": 2 * FLOAT * voxels,
+        "emission": 4 * FLOAT * voxels * shining,
+        "opaque voxels": 5 * FLOAT * voxels * opaque,
+    }
+    return Footprint(buffers, {"density and its majorants": 2 * FLOAT * voxels})
 
 
 def _targets(lights: Sequence[Light], medium: Medium | PerlinMedium, grid: PathGrid) -> Floats:

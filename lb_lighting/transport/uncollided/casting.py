@@ -23,6 +23,7 @@ from ..lights.base import DistantLight, Light, Photons
 from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
 from ..medium import Medium
+from ..memory import DOUBLE, FLOAT, Footprint
 from ..monitor import UNHEARD, Monitor
 from .march import (
     DIRECTION,
@@ -209,16 +210,20 @@ def cast(
     return _marched(medium, box, light, band, sigma_t, chosen, per_edge, monitor)
 
 
-def plan(shape: tuple[int, ...], occluded: bool = True) -> tuple[dict[str, int], int]:
-    """({what: bytes} on the device, bytes on the host) of a cast into `shape` voxels."""
+def footprint(shape: Sequence[int], occluded: bool = True) -> Footprint:
+    """The memory of a cast into `shape` voxels."""
     voxels = prod(shape)
-    buffers = {"uncollided light": 8 * TALLIES * voxels, "voxels": 4 * voxels}
+    buffers = {"uncollided light": DOUBLE * TALLIES * voxels, "voxels": FLOAT * voxels}
     if occluded:
-        buffers |= {"reflected light": 8 * voxels, "opaque voxels": 8 * voxels}
+        buffers |= {"reflected light": DOUBLE * voxels, "opaque voxels": DOUBLE * voxels}
     kinds = TALLIES + (1 if occluded else 0)
-    work = 8 * (TALLIES + 3) * voxels
-    rays = 40 * 8 * 2 * _AT_ONCE
-    return buffers, (4 * (kinds + 3) + 4) * voxels + work + rays
+    arrays = {
+        "scores": FLOAT * (kinds + 3) * voxels,
+        "depth": FLOAT * voxels,
+        "work": DOUBLE * (TALLIES + 3) * voxels,
+        "rays": 40 * DOUBLE * 2 * _AT_ONCE,
+    }
+    return Footprint(buffers, arrays)
 
 
 def _marched(

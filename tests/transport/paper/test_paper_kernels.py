@@ -6,6 +6,7 @@ import pytest
 
 from lb_lighting.errors import DeviceError
 from lb_lighting.transport import Medium, Settings, Sky, Sun, device, solve
+from lb_lighting.transport.memory import Footprint, require_memory
 from lb_lighting.transport.paper.collision import collision_matrix
 from lb_lighting.transport.paper.paper_numpy import PaperReference
 from lb_lighting.transport.paper.paper_opencl import PaperLattice
@@ -72,19 +73,19 @@ def test_whole_solve_agrees_with_numpy(found):
 def test_too_large_a_grid_is_refused_before_allocation():
     small = device.Device("Small", "Test", "CPU", memory=10 * 2**20, largest_buffer=4 * 2**20)
 
-    def plan(shape):
-        return PaperLattice.buffers(shape, "final", occluded=False), 0
+    def footprint(shape):
+        return Footprint(PaperLattice.buffers(shape, "final", occluded=False))
 
     with pytest.raises(DeviceError, match=r"largest resolution that fits is (\d+)\.") as refusal:
-        device.require_memory(small, (80, 60, 40), plan)
+        require_memory(small, (80, 60, 40), footprint)
     largest = int(str(refusal.value).rsplit(" ", 1)[1].rstrip("."))
 
     def at(resolution):
         return [max(1, -(-n * resolution // 80)) for n in (80, 60, 40)]
 
-    assert device.require_memory(small, at(largest), plan) <= small.memory
+    assert require_memory(small, at(largest), footprint) <= small.memory
     with pytest.raises(DeviceError):
-        device.require_memory(small, at(largest + 1), plan)
+        require_memory(small, at(largest + 1), footprint)
 
 
 @pytest.mark.parametrize("found", OPENCL, ids=lambda found: found.platform.split(",")[0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.errors import Cancelled, DeviceError, LightError, SettingsError
-from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, hybrid, plan
+from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, multiple_scattering, plan
 from lb_lighting.transport import solve as solve_medium
 from lb_lighting.transport.planning import expected, planner, visibility
 from lb_lighting.transport.planning.expected import Expectation
@@ -35,7 +35,7 @@ def test_thin_media_start_no_lattice(quality, monkeypatch):
     def refuse(*_arguments, **_options):
         raise AssertionError("a lattice was made")
 
-    monkeypatch.setattr(hybrid, "Level", refuse)
+    monkeypatch.setattr(multiple_scattering, "Level", refuse)
     medium = cube(depth=0.6 * TARGETS[quality])
     chosen = plan(medium, [SUN], quality)
     assert chosen.settings.scattering == "single"

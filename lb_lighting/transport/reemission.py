@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that the medium absorbs in one band and emits again in another (fluorescence)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .field import Field
+from .medium import Medium
+
+_MOST_EMISSIONS = 64  # rounds of emission: each is weaker than the one before
+_NEGLIGIBLE = 1e-6  # share of the light that entered below which emission is neglected
+
+
+def add_reemission(field: Field, medium: Medium, solve: Callable[[Medium], Field]) -> None:
+    """Add to a field the light that the medium emits again in other bands.
+
+    solve  returns the field of a medium in the light of its emission alone
+    """
+    assert medium.shift is not None
+    volume = medium.voxel_size**3
+    energy = field.report.energy
+    energy["shifted"] = np.zeros(medium.bands)
+    negligible = _NEGLIGIBLE * np.sum(energy["entered"])
+    latest = field
+    for _ in range(_MOST_EMISSIONS):
+        light = latest.fluence + latest.direct
+        absorbed = medium.sigma_a[:, None, None, None] * medium.density * light  # W/m^3
+        emission = np.maximum(np.tensordot(medium.shift, absorbed, axes=1), 0)
+        received = emission.sum(axis=(1, 2, 3)) * volume
+        if received.sum() <= negligible:
+            return
+        given = medium.shift.sum(axis=0) * absorbed.sum(axis=(1, 2, 3)) * volume
+        energy["shifted"] += received - given
+        energy["absorbed"] -= given
+        latest = solve(medium.altered(emission=emission))
+        _add(field, latest)
+    field.report.converged = False
+
+
+def _add(field: Field, emitted: Field) -> None:
+    """Add a field of emission; its energy has not entered from anywhere."""
+    for name in ("fluence", "direct", "flux", "direct_flux"):
+        getattr(field, name)[...] += getattr(emitted, name)
+    report, more = field.report, emitted.report
+    report.steps += more.steps
+    report.residual = max(report.residual, more.residual)
+    report.converged &= more.converged
+    for where in ("absorbed", "left"):
+        report.energy[where] += more.energy[where]
