@@ -41,7 +41,7 @@ lint: environment
 
 # MkDocs' own notice about its next version is not of this project.
 docs: environment
-	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 clean:
 	rm -rf build wheels .venv
