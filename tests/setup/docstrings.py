@@ -1,33 +1,40 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An extension of Griffe, which reads docstrings for the site: aligned columns become lists.
 
-Docstrings write a parameter as its name, two spaces or more, and its description, which goes on in
-indented lines. Markdown would run these together into one paragraph.
+Docstrings write a parameter as its name, two spaces or more, and its description, which continues
+in indented lines. Markdown would join these into one paragraph.
 """
 
 import re
 
 import griffe
 
-ITEM = re.compile(r"(\w+(?:, \w+)*) {2,}(\S.*)")
+NAMES = r"\w+(?:, \w+)*"
+ITEM = re.compile(rf"({NAMES})  +(?=\S)")
 
 
 def listed(text):
     """The docstring with each run of aligned columns as a Markdown list."""
-    lines, in_list = [], False
+    lines, column = [], 0  # column of the descriptions in the current list, or 0
     for line in text.splitlines():
-        if item := ITEM.fullmatch(line):
-            line = f"- `{item[1]}`: {item[2]}"
-            if not in_list:
+        item = ITEM.match(line)
+        if item or is_longest_item(line, column):
+            if not column:
                 lines.append("")
-            in_list = True
-        elif in_list and line.startswith(" "):
+            column = item.end() if item else column
+            line = f"- `{line[:column].strip()}`: {line[column:]}"
+        elif column and line.startswith(" "):
             line = f"  {line.strip()}"
-        elif in_list:
+        elif column:
             lines.append("")
-            in_list = False
+            column = 0
         lines.append(line)
     return "\n".join(lines)
+
+
+def is_longest_item(line, column):
+    """Whether only one space separates a name from its description: it fills its column."""
+    return bool(column and re.fullmatch(f"{NAMES} ", line[:column]))
 
 
 class AlignedColumns(griffe.Extension):
