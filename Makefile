@@ -5,7 +5,7 @@ PYTHON := .venv/bin/python
 # Where OpenCL finds Intel's runtime, and where that finds its own libraries.
 RUN := OCL_ICD_VENDORS=$(CURDIR)/.venv/opencl LD_LIBRARY_PATH=$(CURDIR)/.venv/lib $(PYTHON)
 
-.PHONY: help environment demo test test-blender package lint clean
+.PHONY: help environment demo test test-blender package lint docs clean
 
 help:
 	@echo "make demo          render the gallery into build/demo"
@@ -14,6 +14,7 @@ help:
 	@echo "make package       build and validate the extension's zip in build/"
 	@echo "make bench-NAME    run tests/benchmarks/NAME.py, write build/bench/NAME.json"
 	@echo "make lint          check the style of the code"
+	@echo "make docs          build the documentation's site into build/docs, and check its links"
 	@echo "make clean         remove what was built, the environment too"
 
 environment:
@@ -37,6 +38,10 @@ test-blender: package
 lint: environment
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
+
+# MkDocs' own notice about its next version is not of this project.
+docs: environment
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 clean:
 	rm -rf build wheels .venv

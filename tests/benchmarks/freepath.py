@@ -434,7 +434,7 @@ def main():
     of_noise = {"noise": noise, "noise-best": list(noise_summary(noise))}
     publish_all(of_noise, found)
     tables |= of_noise | {"head": list(by_resolution(head, TALK)), "noise": by_noise(noise)}
-    print("\nFor docs/theory/free-paths.md:\n")
+    print("\nFor docs/measurements/free-paths.md:\n")
     print("\n".join(markdown(rows) for rows in tables.values()))
 
 

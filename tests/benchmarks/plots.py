@@ -19,7 +19,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.ticker import LogLocator, NullLocator
 
-DOCS = Path(__file__).parents[2] / "docs" / "theory" / "free-paths"
+DOCS = Path(__file__).parents[2] / "docs" / "measurements" / "free-paths"
 COLORS = {
     "density": "#9a9a9a",
     "constant": "#c44536",
@@ -149,7 +149,7 @@ def save(figure, name):
     DOCS.mkdir(parents=True, exist_ok=True)
     path = DOCS / f"{name}.webp"
     figure.savefig(path, dpi=110, pil_kwargs={"quality": 80})
-    print(f"written to docs/theory/free-paths/{path.name}")
+    print(f"written to docs/measurements/free-paths/{path.name}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a preview takes, and how much of its light has scattered more than once.
 
-Run it with `python -m tests.benchmarks.preview`; it also draws docs/theory/free-paths/preview.webp.
+Run it with `python -m tests.benchmarks.preview`; it also draws
+docs/measurements/free-paths/preview.webp.
 """
 
 from time import perf_counter
