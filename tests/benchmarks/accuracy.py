@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How right the light is: each case of `media.py` against traced photons, and what is exact.
+"""Accuracy of the light: the cases of `media.py` against traced photons, and exact solutions.
 
     python -m tests.benchmarks.accuracy [cases margin slabs furnace spread refinement rotation]
 
-measures all parts, or those named. Columns of the cases:
+measures all parts, or the given ones. Columns of the cases:
 
-error         relative L2 of all light, direct and scattered, with the reference's noise taken out:
-              the root of (raw error)^2 - (its standard error)^2. A hybrid's own noise is in it
-bias          the same, without the hybrid's own noise too
-ratio         mean of the light over the mean of the reference's
-worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
-              reference's light; noise is in it
+error         relative L2 of all light, uncollided and scattered, without the noise of the
+              reference: the root of (raw error)^2 - (its standard error)^2. The noise of a hybrid
+              is included
+bias          the same, without the noise of the hybrid
+ratio         mean of the light over the mean of the reference
+worst decile  mean |error| of the tenth of the voxels with the largest errors, over the mean of the
+              reference, including noise
 balance       |in - absorbed - out| / in
-noise         of the hybrid, as it says itself
+noise         of the hybrid, as it reports it
 
-The paper's light is scaled by the factor that fits best in L2, which is told; no other light is.
+Only the light of the paper's model is scaled, by the factor that fits best in L2, which is printed.
 """
 
 import sys
@@ -48,7 +49,7 @@ def case_rows():
         for column in COLUMNS:
             field, refused = refusal(case, column)
             row = {"case": case.name, "column": column}
-            print(f"{case.name}, {column}", flush=True)  # as some take a minute
+            print(f"{case.name}, {column}", flush=True)  # some take a minute
             if refused:
                 yield row | {"refused": refused}
             else:
@@ -84,7 +85,7 @@ def without(raw, noise):
 
 
 def summary(rows):
-    """A line for each column: its errors, and whether they are within reach."""
+    """A line for each column: its errors, and whether they are within the goals."""
     for column in COLUMNS:
         of_column = [row for row in rows if row["column"] == column]
         some = [row for row in of_column if "error" in row]
@@ -119,7 +120,7 @@ def cases():
 
 
 def margin_rows():
-    """Cubes with empty voxels around them, deterministic: inside they should be as without."""
+    """Cubes with empty voxels around them, deterministic: the light inside should not change."""
     references = References()
     for case in cubes():
         margin = replace(case, medium=padded(case.medium))

@@ -24,7 +24,7 @@ COLORS = {
     "hybrid T=4": "#1d6fa5",
 }
 NAMES = {"paper": "paper, scaled to fit best"}
-LEAST = 0.001  # what is less is drawn there
+LEAST = 0.001  # smaller errors are drawn here
 
 
 def rows_of(name):
@@ -32,7 +32,7 @@ def rows_of(name):
 
 
 def cases():
-    """The error of each case in each column; what is refused is a cross at the right edge."""
+    """The error of each case in each column; a refused case is a cross at the right edge."""
     rows = rows_of("cases")
     names = list(dict.fromkeys(row["case"] for row in rows))
     figure, panel = plt.subplots(figsize=(8, 0.19 * len(names) + 1))
@@ -71,7 +71,7 @@ def cases():
 
 
 def refinement():
-    """The error of a medium on smaller and smaller voxels."""
+    """The error of a medium by the size of its voxels."""
     rows = rows_of("refinement")
     figure, panel = plt.subplots(figsize=(5, 3.2))
     for name in dict.fromkeys(row["case"] for row in rows):

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a fixed set of solves and bakes comes to, bit by bit: for changes that must change nothing.
+"""Results of a fixed set of solves and bakes, compared bit by bit before and after a refactoring.
 
     python -m tests.benchmarks.behaviour keep       write build/bench/behaviour.npz
-    python -m tests.benchmarks.behaviour compare    print what differs; exit code 1 where any does
+    python -m tests.benchmarks.behaviour compare    print the differences; exit code 1 if any
 
-A runtime gives the same bits at every run on one machine, so equal means equal: no tolerance. Each
-solve runs by NumPy and on every OpenCL device; bakes run on NumPy and the first one.
+A runtime gives the same bits in every run on one machine, so there is no tolerance. Each solve runs
+with NumPy and on every OpenCL device; bakes run with NumPy and on the first device.
 """
 
 import os
@@ -60,7 +60,7 @@ WAYS = {
 
 
 def media():
-    """{name: Medium}: a cloud by itself, forwards, in three bands, shining, with opaque voxels."""
+    """{name: Medium}: a cloud, forward scattering, in three bands, glowing, with opaque voxels."""
     rng = np.random.default_rng(0)
     density = rng.uniform(0, 2, (EDGE, EDGE, EDGE - 2)) * (rng.random((EDGE, EDGE, EDGE - 2)) > 0.4)
     size, shape = 1 / EDGE, density.shape
@@ -81,7 +81,7 @@ def media():
 
 
 def arrays(field):
-    """{name: array} of a `Field`, those that it has."""
+    """{name: array} of the arrays that a `Field` has."""
     found = {name: getattr(field, name, None) for name in FIELDS}
     return {name: np.asarray(values) for name, values in found.items() if values is not None}
 
@@ -105,7 +105,7 @@ def solves(found):
 
 
 def samples(found):
-    """As `solves`, of free paths."""
+    """Like `solves`, for free paths."""
     rng = np.random.default_rng(1)
     origins, directions = rng.uniform(0, 1, (500, 3)), rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -117,7 +117,7 @@ def samples(found):
 
 
 def bakes(found, folder):
-    """As `solves`, of what bakes write into a scene."""
+    """Like `solves`, for the data that bakes write into a scene."""
     import bpy
 
     from tests import scenery
@@ -148,7 +148,7 @@ def bakes(found, folder):
 
 
 def forward_fog(scenery, place):
-    """Whose light is gathered along many directions."""
+    """A fog whose light is computed along many ordinates."""
     ob = scenery.add_fog(place, material=False)
     ob.data.materials.append(scenery.volume_material(anisotropy=0.85))
     return ob
@@ -222,4 +222,4 @@ def _equal(values, kept):
 if __name__ == "__main__":
     code = main(sys.argv[1])
     sys.stdout.flush()
-    os._exit(code)  # Blender at times crashes when Python takes it down
+    os._exit(code)  # Blender sometimes crashes at Python's exit

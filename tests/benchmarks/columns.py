@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ways of solving that accuracy is measured of, and what is measured of a solved field."""
+"""The solvers whose accuracy is measured, and the quantities measured on a solved field."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import numpy as np
 from lb_lighting.errors import LightError, MediumError
 from lb_lighting.transport import Medium, Settings, paper_units, solve
 
-TOLERANCE = 3e-5  # far below what is measured, and energy balances to 1e-4
+TOLERANCE = 3e-5  # far below the measured errors; energy balances to 1e-4
 PAPER = Settings(model="paper")
 DETERMINISTIC = Settings(model="physical", tolerance=TOLERANCE)
 COLUMNS = {
@@ -17,12 +17,12 @@ COLUMNS = {
     "hybrid T=2": replace(DETERMINISTIC, handover=2.0),
     "hybrid T=4": replace(DETERMINISTIC, handover=4.0),
 }
-NOISE = 0.01  # of a hybrid's light, relative, in L2
-_PROBED, _MOST = 32, 1024  # photons a voxel
+NOISE = 0.01  # of the light of a hybrid, relative L2
+_PROBED, _MOST = 32, 1024  # photons per voxel
 
 
 def solved(case, column):
-    """The `Field` of a case. A hybrid's has as many photons as bring its noise below `NOISE`."""
+    """The `Field` of a case. A hybrid traces enough photons for a noise below `NOISE`."""
     settings, medium = COLUMNS[column], case.medium
     if settings is PAPER:
         return cropped(solve(paper_units(padded(medium)), case.lights, settings))
@@ -34,7 +34,7 @@ def solved(case, column):
 
 
 def padded(medium):
-    """The medium with an empty voxel around it: the paper's boundary, which is no medium."""
+    """The medium with an empty voxel around it: the boundary of the paper is outside the medium."""
 
     def grid(values):
         return (
@@ -58,7 +58,7 @@ def cropped(field):
 
 
 def refusal(case, column):
-    """(field, None), or (None, the sentence with which the case is refused)."""
+    """(field, None), or (None, the error message) if the case is refused."""
     try:
         return solved(case, column), None
     except (MediumError, LightError) as error:
@@ -66,19 +66,19 @@ def refusal(case, column):
 
 
 def all_light(field):
-    """(nx, ny, nz) W/m^2, of the first band."""
+    """(nx, ny, nz) W/m^2 in the first band."""
     return (field.fluence + field.direct)[0].astype(float)
 
 
 def relative_noise(field):
-    """Standard error of all light, relative, in L2; 0 where nothing is random."""
+    """Relative standard error (L2) of all light; 0 for a deterministic solve."""
     if field.variance is None:
         return 0.0
     return float(np.sqrt(field.variance[0].sum(dtype=float)) / np.linalg.norm(all_light(field)))
 
 
 def imbalance(field):
-    """|in - absorbed - out| / in; None where a model does not count its energy."""
+    """|in - absorbed - out| / in; None if the model does not count its energy."""
     energy = {what: np.sum(power) for what, power in field.report.energy.items()}
     if not energy:
         return None

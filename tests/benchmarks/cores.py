@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much faster a step of the lattice is on all cores than on one, on every CPU runtime.
+"""Speedup of a lattice step on all cores over one core, on every CPU runtime.
 
     python -m tests.benchmarks.cores
 
-Prints for 128^3 voxels millions of voxels a second on one core, on all, and their ratio; writes
-build/bench/cores.json. A process of its own is kept to one core before its runtime starts; it and
-one that may use all take turns of a few steps, and the fastest turns count, when nothing else runs
-if such a time comes.
+Prints for 128^3 voxels the million voxels per second on one core and on all, and their ratio;
+writes build/bench/cores.json. A separate process is bound to one core before its runtime starts. It
+alternates with a process on all cores, a few steps each, and the fastest turn of each counts. Turns
+wait for an idle machine, but not for long.
 """
 
 import os
@@ -21,7 +21,7 @@ EDGE, STEPS, TURNS = 128, 4, 15
 
 
 class Worker:
-    """A process that steps the lattice of a runtime on these cores when asked."""
+    """A process that steps the lattice of a runtime on the given cores on request."""
 
     def __init__(self, runtime, cores):
         command = [sys.executable, "-m", "tests.benchmarks.cores", runtime, *map(str, cores)]
@@ -34,14 +34,14 @@ class Worker:
         self.fastest = min(self.fastest, float(self.process.stdout.readline()))
 
     def close(self):
-        """Millions of voxels a second."""
+        """Million voxels per second."""
         self.process.stdin.close()
         self.process.wait()
         return EDGE**3 * STEPS / self.fastest / 1e6
 
 
 def work(runtime, *cores):
-    """Take a turn for each line that comes in, and print its seconds."""
+    """Take a turn for each input line, and print its seconds."""
     os.sched_setaffinity(0, map(int, cores))  # before the runtime counts them
     from lb_lighting.transport import device
     from tests.benchmarks.lbmpy_step import Ours
@@ -52,7 +52,7 @@ def work(runtime, *cores):
 
 
 def runtimes():
-    """The platforms of processors; asked in a process of its own."""
+    """The platforms with CPUs, listed by a separate process."""
     from lb_lighting.transport import device
 
     return [found.platform.split(",")[0] for found in device.devices() if found.kind == "CPU"]

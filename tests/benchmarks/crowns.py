@@ -15,21 +15,21 @@ LEAF_AREA = 25.0  # m^2 in a crown of radius 1 m
 # transmittance) of red, green and white ones.
 COLORS = {"red": (0.05, 0.03), "green": (0.10, 0.09), "white": (0.45, 0.45)}
 BARK, SOIL = (0.16, 0.11, 0.07), (0.30, 0.25, 0.20)
-SUN = np.array((0.5, 0.3, -0.81))  # the way the light travels
+SUN = np.array((0.5, 0.3, -0.81))  # direction in which the light travels
 IRRADIANCE = 3.0  # W/m^2, of the sun
 RADIANCE = 0.3  # W/(m^2 sr), of the sky
 VIEWS = {"lit": (-0.9, -0.4, 0.25), "far": (0.8, 0.55, 0.12)}  # from the crown to the camera
 
 
 class Case(NamedTuple):
-    """What there is to light.
+    """A crown or a tree to be lit.
 
-    leaves      the function that makes their `Mesh`
+    leaves      function that makes their `Mesh`
     resolution  voxels along the longest edge: 1 to 1.5 leaf lengths each
     width       of the picture, m
-    middle      (3,) m, what the camera looks at
-    tree        whether it is the tree, with wood
-    ground      whether it stands on a ground
+    middle      (3,) m, the point that the camera looks at
+    tree        whether this is the tree, which has wood
+    ground      whether there is a ground
     """
 
     leaves: object
@@ -41,12 +41,12 @@ class Case(NamedTuple):
 
 
 def in_ball(count, rng):
-    """(count, 3) m: points spread evenly in the ball of radius 1 m."""
+    """(count, 3) m: uniformly distributed points in the ball of radius 1 m."""
     return unit(rng.normal(size=(count, 3))) * rng.uniform(size=(count, 1)) ** (1 / 3)
 
 
 def in_clumps(count, rng, clumps=40, spread=0.13):
-    """(count, 3) m: points in round clumps whose middles are spread evenly."""
+    """(count, 3) m: points in round clumps with uniformly distributed centres."""
     middles = 0.85 * in_ball(clumps, rng)
     return middles[rng.integers(clumps, size=count)] + rng.normal(0, spread, (count, 3))
 
@@ -54,8 +54,8 @@ def in_clumps(count, rng, clumps=40, spread=0.13):
 def crown(length, places=in_ball, flatness=0.0):
     """A crown of square leaves of edge `length`, m.
 
-    places    function of a count and a generator: where the leaves are
-    flatness  0 for leaves turned every way; large for near-horizontal ones
+    places    function of a count and a generator that returns the positions of leaves
+    flatness  0 for random orientations; large for nearly horizontal leaves
     """
     rng = np.random.default_rng(0)
     count = round(LEAF_AREA / length**2)
@@ -79,7 +79,7 @@ CASES = {
 
 
 def build(case, colors=None):
-    """Fill the empty file with a `Case`; its objects, the leaves first.
+    """Fill the empty file with a `Case` and return its objects, the leaves first.
 
     colors  ((reflectance, transmittance) of the leaves in each band), or None for COLORS
     """
@@ -152,8 +152,7 @@ def light(sun, sky):
 
 
 def look(case, view, turn=0.0):
-    """A camera without perspective, from the side `view`, or from there turned about the trunk by
-    so many rad."""
+    """An orthographic camera at the side `view`, rotated about the trunk by an angle in rad."""
     scene = bpy.context.scene
     towards = Matrix.Rotation(turn, 3, "Z") @ Vector(VIEWS[view]).normalized()
     camera = bpy.data.cameras.new("Camera")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures with our light against those in which Cycles follows every scattering itself.
+"""Pictures with baked light, compared with pictures in which Cycles traces every scattering.
 
     python -m tests.benchmarks.endtoend [CASE ...]
 
-Both show the same .vdb, which is as fine as the lattice. The table has, for each picture: its mean
-over that of the reference, in the band where that is farthest from 1; its error, which is the
-relative L2 over pixels and bands; and that of the reference itself, from two halves that were
-rendered apart. References are kept in build/references, pictures in build/bench/endtoend.
+Both show the same .vdb, which has the resolution of the lattice. The table lists for each picture:
+its mean relative to the reference, in the band where this is farthest from 1; its error, the
+relative L2 over pixels and bands; and the error of the reference, from two halves that are rendered
+separately. References are stored in build/references, pictures in build/bench/endtoend.
 """
 
 import argparse
@@ -35,13 +35,13 @@ from tests.output.rendering import dark_scene, render  # noqa: E402
 
 REFERENCES = BUILD.parent / "references"
 PICTURES = BUILD / "endtoend"
-EDGE = 60  # voxels of a medium, which with the padding are 64 of 1 m
+EDGE = 60  # voxels of a medium; 64 with the padding, which are 1 m
 VOXEL = 1 / 64  # m
 LATTICE = {"resolution": 64, "domain": "Bounds"}
-PHOTONS = 3_000_000  # where there is no lattice: 11 for each of its voxels
+PHOTONS = 3_000_000  # without a lattice: 11 per voxel
 SIZE = 128  # pixels
 SAMPLES = 64
-BOUNCES = 1024  # of the reference: more than light has in any case here
+BOUNCES = 1024  # of the reference, more than light has in any of these cases
 CAMERA = (0.0, -3.0, 0.6)
 WHITE = (1.0, 1.0, 1.0)
 FROM_THE_LEFT, FROM_THE_RIGHT = (0.8, 0.3, -0.5), (-0.6, -0.5, -0.6)
@@ -54,7 +54,7 @@ class Case:
     density  (EDGE, EDGE, EDGE)
     sigma_t  extinction at density 1, 1/m
     suns     ((direction, irradiance (3,) W/m^2), ...)
-    half     samples of either half of the reference
+    half     samples of each half of the reference
     """
 
     name: str
@@ -67,7 +67,7 @@ class Case:
 
     @property
     def key(self):
-        """Stands for all that the reference depends on."""
+        """Hash of everything that the reference depends on."""
         numbers = self.sigma_t, self.albedo, self.g, self.suns, self.half, SIZE, BOUNCES, CAMERA
         digest = hashlib.sha256(self.density.tobytes() + repr(numbers).encode())
         return f"endtoend-{self.name.replace(' ', '-')}-{digest.hexdigest()[:8]}"
@@ -86,7 +86,7 @@ def cases():
 
 
 def build(case, folder):
-    """The empty file filled with the case; the Volume object."""
+    """Fill the empty file with the case and return the Volume object."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     turn = (-Vector(CAMERA)).to_track_quat("-Z", "Y").to_euler()
     scene = dark_scene(CAMERA, turn, 1)
@@ -110,7 +110,7 @@ def build(case, folder):
 
 
 def write_grids(path, **grids):
-    """A .vdb of (EDGE, EDGE, EDGE) values about the origin, by name; its path."""
+    """Write named (EDGE, EDGE, EDGE) grids around the origin to a .vdb, and return its path."""
     written = []
     for name, values in grids.items():
         grid = openvdb.FloatGrid()
@@ -142,7 +142,7 @@ def medium(case):
 
 
 def picture(folder, samples, bounces=0, seed=0):
-    """((SIZE, SIZE, 3) radiance of the scene, seconds); nothing is clamped or left out."""
+    """((SIZE, SIZE, 3) radiance of the scene, seconds); nothing is clamped or omitted."""
     scene = bpy.context.scene
     scene.cycles.volume_bounces = scene.cycles.max_bounces = bounces
     scene.cycles.sample_clamp_indirect = scene.cycles.light_sampling_threshold = 0
@@ -154,7 +154,7 @@ def picture(folder, samples, bounces=0, seed=0):
 
 
 def reference(case, folder):
-    """The two halves of the reference, (2, SIZE, SIZE, 3), rendered once and kept."""
+    """The two halves of the reference, (2, SIZE, SIZE, 3), which are rendered once and stored."""
     path = REFERENCES / f"{case.key}.npz"
     if not path.exists():
         build(case, folder)
@@ -165,7 +165,7 @@ def reference(case, folder):
 
 
 def solved(case, folder, handover):
-    """(field, seconds) of the light that `bake` would find."""
+    """(field, seconds) of the solve that `bake` does."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, handover=handover, **LATTICE)
     problem = bake.gather(bpy.context, [source], options).problem()
@@ -176,7 +176,7 @@ def solved(case, folder, handover):
 
 
 def lit(case, folder, field, mode, samples):
-    """(picture, seconds) with the light of the field."""
+    """(picture, seconds) of the scene with the field."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
     task = bake.gather(bpy.context, [source], options)
@@ -220,7 +220,7 @@ def rows_of(case):
 
 
 def save(name, wanted, found):
-    """The reference, ours, and four times their difference about grey, side by side."""
+    """The reference, ours, and four times their difference around grey, side by side."""
     level = 0.9 / np.percentile(wanted, 99.5)
     grey = 0.5 + 2 * level * (found - wanted)
     panels = [np.clip(level * wanted, 0, 1) ** (1 / 2.2), np.clip(level * found, 0, 1) ** (1 / 2.2)]

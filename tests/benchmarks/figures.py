@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the plots of docs/ are written."""
+"""Style and files of the plots of docs/."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def write(figure, page, name):
 
 
 def write_small(figure, page, name, bottom=0.0):
-    """The same of panels with small ticks and two axes; `bottom` is the share kept for a legend."""
+    """Write panels with small ticks and two axes; `bottom` is the share reserved for a legend."""
     for panel in figure.axes:
         panel.spines[["top", "right"]].set_visible(False)
         panel.tick_params(labelsize=7)

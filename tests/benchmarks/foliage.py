@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Foliage from end to end: crowns and a real tree in Cycles and in our light, and the difference.
+"""Foliage end to end: crowns and a real tree in Cycles and with baked light, and the difference.
 
-The reference is Cycles with 32 bounces, kept in build/references. Its indirect light is the
-picture less the same picture without bounces; ours is what the leaves emit. Figures are of means
-over 4x4 pixels, and for leaves of three colours at once, which are the three bands of a picture.
+The reference is Cycles with 32 bounces, stored in build/references. Its indirect light is the
+picture minus the picture without bounces; ours is the emission of the leaves. Errors are those of
+means over 4x4 pixels. Leaves have three colours at once, one for each band of a picture.
 """
 
 import sys
@@ -29,13 +29,13 @@ from tests.benchmarks.table import BUILD, publish  # noqa: E402
 from tests.output.rendering import render, silent_stdout  # noqa: E402
 
 REFERENCES = Path(__file__).parents[2] / "build" / "references"
-SIZE, BLOCK = 160, 4  # pixels: of a picture, and of what figures average over
+SIZE, BLOCK = 160, 4  # pixels of a picture, and of the blocks that are averaged
 SAMPLES = 96  # of each of the reference's two halves
-OUR_SAMPLES = 64  # what the leaves emit has no noise but at their edges
+OUR_SAMPLES = 64  # emission is noisy only at the edges of leaves
 BOUNCES = 32
 PHOTONS = 1_000_000
 LIGHTS = {"sun": (True, False), "sun and sky": (True, True)}
-UNDER_SKY = ("5 cm leaves", "tree")  # a sky is rendered for these alone
+UNDER_SKY = ("5 cm leaves", "tree")  # the only cases rendered under a sky
 
 
 def main(names):
@@ -51,7 +51,7 @@ def main(names):
 
 
 def reach(rows):
-    """A sentence on the worst of the rows of one solver; the wish in brackets."""
+    """A sentence on the worst of the rows of one solver, with the goal in brackets."""
     ours, cycles = defaultdict(float), defaultdict(float)
     for row in rows:  # both views of a crown together
         key = row["crown"], row["lights"], row["leaves"]
@@ -93,8 +93,8 @@ def compare(name, lights):
 
 
 def figures(parts, ours, band):
-    """{figure: value} of one band; errors are root mean squares over the blocks, relative to that
-    of the reference."""
+    """{figure: value} of one band; errors are root mean squares over the blocks, relative to the
+    reference."""
     full, direct = (blocks(parts[kind][..., band]) for kind in ("full", "direct"))
     indirect, ours = full - direct, blocks(ours[..., band])
     noise = rms(indirect[0] - indirect[1]) / 2  # of the mean of the halves
@@ -121,23 +121,23 @@ def rms(values):
 
 
 def by_lattice(objects, case):
-    """Light `objects` as Bake does; the `Report`."""
+    """Bake the light of `objects`, and return the `Report`."""
     with TemporaryDirectory() as folder:
         options = bake.Options(resolution=case.resolution, folder=folder)
         return bake.bake(bpy.context, objects, options).field.report
 
 
 def by_photons(objects, case):
-    """The same, but with photons traced in the same medium: what is left is not the lattice's.
+    """Light `objects` by photons traced in the same medium: the error is not the lattice's.
 
-    They know no `shadow_density`, so leaves that lie flat are worse here.
+    Photons do not use `shadow_density`, so nearly horizontal leaves are worse here.
     """
     with TemporaryDirectory() as folder:
         options = bake.Options(resolution=case.resolution, folder=folder)
         task = bake.gather(bpy.context, objects, options)
         problem = task.problem()
         field = trace(problem.medium, problem.lights, PHOTONS)
-        field.report = Report("photons", field.report.device)  # files cannot hold its arrays
+        field.report = Report("photons", field.report.device)  # files cannot store its arrays
         bake.apply(bpy.context, objects, task, task.keep(problem, field))
     return field.report
 
@@ -146,7 +146,7 @@ SOLVERS = {"lattice": by_lattice, "photons": by_photons}
 
 
 def switch_lights_off():
-    """What then remains is emission: our light."""
+    """Remove all lights, so that only emission remains: our light."""
     for ob in bpy.context.scene.objects:
         ob.hide_render = ob.type == "LIGHT"
     background = next(n for n in bpy.context.scene.world.node_tree.nodes if n.type == "BACKGROUND")
@@ -154,7 +154,7 @@ def switch_lights_off():
 
 
 def save(name, parts, ours):
-    """The three bands below each other: without bounces, with ours, with all, ours less all x 4."""
+    """The three bands as rows: without bounces, with ours, with all, and 4 x (ours - all)."""
     full, direct = (parts[kind].mean(axis=0) for kind in ("full", "direct"))
     light = np.percentile(full, 99.5, axis=(0, 1))
     pictures = [direct, direct + ours, full, light / 2 + 4 * (direct + ours - full)]
@@ -166,10 +166,10 @@ def save(name, parts, ours):
 
 
 def reference(case, lights, view):
-    """{"full", "direct": (2, SIZE, SIZE, 3)}: both halves of the reference, from the cache or new.
+    """{"full", "direct": (2, SIZE, SIZE, 3)}: both halves of the reference, cached.
 
     full    with all bounces
-    direct  without; of the same samples, so that much of the noise is the same
+    direct  without bounces, from the same samples, so that much of the noise is the same
     """
     objects = build(case, lights)
     crowns.look(case, view)
@@ -192,7 +192,7 @@ def build(case, lights):
 
 
 def _print_of(objects, case, lights, view):
-    """A number that changes with all that the reference depends on."""
+    """A hash of everything that the reference depends on."""
     facts = [*crowns.COLORS.values(), crowns.BARK, crowns.SOIL, *crowns.SUN, *crowns.VIEWS[view]]
     facts += [crowns.IRRADIANCE, crowns.RADIANCE, LIGHTS[lights], SIZE, SAMPLES, BOUNCES]
     found = zlib.crc32(repr((facts, case.width, case.middle)).encode())

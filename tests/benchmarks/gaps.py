@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long a bake holds Blender's main thread: at its start, while it is solved, at its end.
+"""Time for which a bake blocks Blender's main thread: at its start, during the solve, at its end.
 
-Meanwhile there is a tick every hundredth of a second, which threads that hold Python would delay.
-What Blender itself does then, such as to draw the new volume, comes on top; tests/blender/window.py
-finds gaps with that in a window.
+During the solve a timer ticks every hundredth of a second; a thread that holds Python's lock would
+delay it. Blender's own work, such as drawing the new volume, is not included;
+tests/blender/window.py measures gaps with it in a window.
 """
 
 import tempfile
@@ -39,7 +39,7 @@ def quads(_folder):
 
 
 def leaves(size):
-    """A million faces of `size` corners, each a leaf of its own."""
+    """A million faces of `size` corners, each a separate leaf."""
     rng = np.random.default_rng(0)
     centers = rng.uniform(-0.9, 0.9, (LEAVES, 1, 3))
     across = rng.uniform(-0.01, 0.01, (LEAVES, 2, 3))
@@ -58,14 +58,14 @@ def leaves(size):
 
 
 def timed(action):
-    """(seconds, what it returns)."""
+    """(seconds, result)."""
     start = time.perf_counter()
     result = action()
     return time.perf_counter() - start, result
 
 
 def held(make):
-    """A row: a bake as the window has it."""
+    """A row: a bake in steps, as in a window."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with tempfile.TemporaryDirectory() as folder:
         ob = make(Path(folder))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the grid does to the physical model: its resolution, and how it is turned to the scene."""
+"""The effect of the grid on the physical model: its resolution, and its orientation."""
 
 from functools import partial
 from itertools import pairwise
@@ -13,9 +13,9 @@ from tests.benchmarks.media import COARSE, SUN, corners, of_depth, refined_cases
 from tests.benchmarks.references import References
 
 FACTORS = (1, 2, 3, 4, 6, 8)  # 12 to 96 voxels
-RESOLVED = (2, 4, 8)  # the three of them, each twice the last, that tell an order
+RESOLVED = (2, 4, 8)  # three factors, each twice the last, from which the order is computed
 
-TURNED = 32  # voxels of the blob's box, which is turned
+TURNED = 32  # voxels of the blob's box, which is rotated
 TURNS = 50
 BLOBS = {"10, g 0": (10, 0), "20, g 0.85": (20, 0.85)}
 # Of each Gaussian: weight, centre, width; the box is from -1 to 1.
@@ -25,7 +25,7 @@ GAUSSIANS = (
     (0.8, (0.1, -0.3, 0.25), 0.2),
     (1.1, (0.0, 0.15, -0.4), 0.16),
 )
-WITHIN = 0.9  # what is compared: a ball that stays in the box
+WITHIN = 0.9  # radius of the ball that is compared, which stays in the box
 
 _erf = np.vectorize(erf)
 
@@ -60,7 +60,7 @@ def refinement():
 
 
 def refined(medium, factor):
-    """The same medium, on voxels so many times smaller."""
+    """The same medium with voxels that are smaller by the factor."""
     density = np.kron(medium.density, np.ones((factor,) * 3))
     return Medium(
         density, medium.voxel_size / factor, medium.sigma_s, medium.sigma_a, medium.g, medium.origin
@@ -68,22 +68,22 @@ def refined(medium, factor):
 
 
 def coarsened(light, factor):
-    """Means over the coarse voxels, which a reference has exactly."""
+    """Means over the coarse voxels, which are exact in a reference."""
     n = len(light) // factor
     return light.reshape(n, factor, n, factor, n, factor).mean(axis=(1, 3, 5))
 
 
 def order(rows, light, size):
-    """How fast the error falls, and how fast the light settles: powers of the voxel's edge.
+    """Orders of the error and of the convergence to the model's limit: powers of the voxel's edge.
 
-    The light settles to the model's own limit, which errs by as much as is left at last.
+    The limit of the model has an error of its own, which remains with fine voxels.
     """
     voxels, errors = zip(*[(row["voxels"], row["error"]) for row in rows], strict=True)
     slope, _ = np.polyfit(np.log(voxels), np.log(errors), 1)
     steps = [float(np.linalg.norm(light[a] - light[b]) / size) for a, b in pairwise(RESOLVED)]
     return {
         "order of the error, fitted": -float(slope),
-        "order of settling": float(np.log2(steps[0] / steps[1])),
+        "order of convergence": float(np.log2(steps[0] / steps[1])),
         "change at last": steps[1],
         "error at last": errors[-1],
     }
@@ -93,10 +93,10 @@ def order(rows, light, size):
 
 
 def rotation_rows():
-    """A blob against itself turned, with its sun, against the grid; in the ball that both show.
+    """A blob and its sun, compared with both rotated relative to the grid, in a common ball.
 
-    The turned light is read between voxels' centres, linearly. What that alone costs is measured
-    by a field that is exact wherever it is read: the unscattered light.
+    The rotated light is interpolated linearly between voxel centres. The error of the interpolation
+    alone is measured on a field that is known exactly: the uncollided light.
     """
     points = np.stack(corners(TURNED), axis=-1)
     points = points[np.linalg.norm(points, axis=-1) < WITHIN]
@@ -105,7 +105,7 @@ def rotation_rows():
     toward = np.divide(SUN.direction, np.linalg.norm(SUN.direction))
     for name, (depth, g) in BLOBS.items():
         medium = of_depth(blob(np.eye(3)), depth, 0.99, g)
-        exact_toward = partial(unscattered, sigma_t=medium.sigma_t[0] / 2)  # the box is 1 m
+        exact_toward = partial(transmittance, sigma_t=medium.sigma_t[0] / 2)  # the box is 1 m
         upright = read(all_light(solve(medium, [SUN], DETERMINISTIC)), points)
         exact = exact_toward(points, toward)
         differences, costs = [], []
@@ -130,14 +130,14 @@ def replace_density(medium, density):
 
 
 def random_rotation(rng):
-    """(3, 3): of all rotations, each as likely."""
+    """(3, 3): a uniformly distributed random rotation."""
     q, r = np.linalg.qr(rng.standard_normal((3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))
 
 
 def blob(turn):
-    """(n, n, n): the mean density of each voxel, by 2^3 of its points, of the blob turned."""
+    """(n, n, n): the mean density of each voxel, by 2^3 points in it, of the rotated blob."""
     points = np.stack(corners(2 * TURNED), axis=-1) @ turn
     density = sum(
         weight * np.exp(-((points - center) ** 2).sum(axis=-1) / (2 * width**2))
@@ -146,8 +146,8 @@ def blob(turn):
     return coarsened(density, 2)
 
 
-def unscattered(points, toward, sigma_t):
-    """The share of a sun's light that reaches points (..., 3) unscattered."""
+def transmittance(points, toward, sigma_t):
+    """The transmittance of a sun's light to points (..., 3)."""
     depth = 0
     for weight, center, width in GAUSSIANS:
         from_center = points - center
@@ -159,7 +159,7 @@ def unscattered(points, toward, sigma_t):
 
 
 def read(values, points):
-    """(count,) of voxels' values (n, n, n), linearly between centres, at points of the box."""
+    """(count,): values (n, n, n) of voxels, interpolated linearly at points of the box."""
     place = (points + 1) / 2 * len(values) - 0.5
     low = np.clip(place.astype(int), 0, len(values) - 2)
     share = place - low

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the modifier costs and loses where it lights instances, beside making them real.
+"""Cost and error of the modifier on instances, compared with making them real.
 
     python -m tests.benchmarks.instances
 
-A plant of 30 000 leaves of 4 cm, instanced by geometry nodes, in 64 voxels: seconds of evaluating
-it after it has moved, and the picture of its LB light alone, of instances over that of points.
-Writes build/bench/instances.json.
+A plant of 30 000 leaves of 4 cm, instanced by geometry nodes, in 64 voxels: seconds to evaluate it
+after it has moved, and the picture of its LB light alone, with instances relative to points. Writes
+build/bench/instances.json.
 """
 
 import tempfile
@@ -46,7 +46,7 @@ def plant():
 
 
 def measured(ob, folder, realize):
-    """(s of an evaluation, the picture) with instances made real or not."""
+    """(seconds of an evaluation, picture) with instances, or with instances made real."""
     set_input(ob, "Realize Instances", realize)
     bpy.context.view_layer.update()
     ob.location.x += 1e-3

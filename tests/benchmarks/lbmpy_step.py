@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A step of our lattice beside lbmpy's fastest one of D3Q19, on the same cores, FP32.
+"""A step of our lattice, compared with lbmpy's fastest D3Q19 step on the same cores, FP32.
 
     python -m tests.benchmarks.lbmpy_step
 
-Prints for 64^3 and 128^3 and every runtime millions of cells a second of ours, of lbmpy's and their
-ratio, and which of lbmpy's it is; writes build/bench/lbmpy_step.json. lbmpy's steps are generated
-and compiled first, by the machine's C++ compiler, and tried; then the fastest and ours run in turn,
-a few steps each, and the fastest turn of each counts, when nothing else runs if such a time comes.
+Prints for 64^3 and 128^3 cells and every runtime the million cells per second of ours and of lbmpy,
+their ratio, and the name of lbmpy's step; writes build/bench/lbmpy_step.json. lbmpy's steps are
+generated, compiled by the machine's C++ compiler and timed. Then the fastest and ours alternate, a
+few steps each, and the fastest turn of each counts. Turns wait for an idle machine, but not long.
 
-What a step reads and writes is not the same: 152 B a cell by lbmpy, 164 B by ours, of which 20 B
-are the medium and its source; and each of our cells has rates of its own, where all of lbmpy's
-fluid has one.
+The memory traffic of a step differs: 152 B per cell in lbmpy and 164 B in ours, of which 20 B are
+the medium and its source. Each of our cells has individual rates; lbmpy's fluid has one rate.
 """
 
 import json
@@ -30,17 +29,17 @@ from tests.setup import peers
 
 EDGES = (64, 128)
 TRIALS, TURNS = 4, 30
-CELLS = 2**23  # that a turn updates
+CELLS = 2**23  # updates per turn
 
 
 class Peer:
-    """lbmpy in a process of its own."""
+    """lbmpy in a separate process."""
 
     def __init__(self, edge):
         self.edge = edge
         command = [peers.python(), peers.SCRIPTS / "lbmpy_run.py", str(edge), str(os.cpu_count())]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        # Threads that wait must not take the cores from ours.
+        # Waiting threads must not occupy the cores.
         environment = os.environ | {"OMP_WAIT_POLICY": "passive"}
         self.process = subprocess.Popen(command, **pipes, env=environment)
         self.names = json.loads(self._line())
@@ -53,7 +52,7 @@ class Peer:
         self.chosen = min(best, key=best.get)
 
     def seconds(self, count, index=None):
-        """Of so many steps, after two that do not count, of the fastest candidate or another."""
+        """Of the given steps of the fastest candidate, or of another, after two untimed steps."""
         index = self.chosen if index is None else index
         for number in (2, count):
             print(index, number, file=self.process.stdin, flush=True)
@@ -79,7 +78,7 @@ class Ours:
         self.lattice = our_level(found, (edge,) * 3).lattice
 
     def seconds(self, count):
-        """Of so many steps, after two that do not count."""
+        """Of the given steps, after two untimed steps."""
         stepped(self.lattice, 2)
         begin = perf_counter()
         stepped(self.lattice, count)
@@ -87,12 +86,12 @@ class Ours:
 
 
 def steps(edge):
-    """Of a turn: an even number."""
+    """The steps of a turn, an even number."""
     return 2 * (CELLS // edge**3 // 2)
 
 
 def speed(edge, seconds):
-    """Millions of cells a second of a turn."""
+    """Million cells per second in a turn."""
     return prod((edge,) * 3) * steps(edge) / seconds / 1e6
 
 

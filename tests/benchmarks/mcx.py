@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photons per second beside MCX-CL's, in the same media, on the same OpenCL device.
+"""Photons per second, compared with MCX-CL in the same media on the same OpenCL device.
 
-A case is run a few times, the two in turn. MCX's time is that of its kernel alone, by its own
-count, with the best of a few numbers of threads; ours is that of the whole call but for building
-programs, which a first call does. Both must find the same fluence, to within their noise, which
-the spread of the runs tells. And because a photon of one need not tell as much as a photon of the
-other, the time to equal noise is told, too.
+Each case is run several times, the two programs in turn. MCX's time is the time that it reports for
+its kernel alone, with the best of several numbers of threads. Ours is the time of the whole call
+without building programs, which a first call does. Both must find the same fluence to within their
+noise, which is estimated from the runs. The photons of the two programs are not equally
+informative, so the time to equal noise is reported too.
 """
 
 import sys
@@ -24,10 +24,10 @@ ALBEDO, G = 0.99, 0.9
 # Mean optical depth from face to face; source; photons in a run.
 CASES = [(10, "planar", 400_000), (100, "planar", 200_000), (10, "pencil", 200_000)]
 RUNS = 5
-THREADS = [(0, 0), (2, 1), (256, 8), (2048, 64), (16384, 64)]  # that MCX is tried with
-BLOCK = 16  # voxels along an edge over which fluence is averaged, to be compared
-# The largest difference in units of its noise, which itself is known from a few runs only, and in
-# a pencil's light is that of a few blocks.
+THREADS = [(0, 0), (2, 1), (256, 8), (2048, 64), (16384, 64)]  # that are tried for MCX
+BLOCK = 16  # edge, in voxels, of the blocks over which fluence is averaged for comparison
+# The largest difference in units of its noise. The noise is estimated from a few runs, and for a
+# pencil beam in a few blocks.
 MOST_BEYOND_NOISE = 1.5
 
 
@@ -46,12 +46,12 @@ class Pencil(Light):
 
 
 def source(name):
-    """Our light of 1 W that is MCX's source of that name."""
+    """Our light of 1 W that corresponds to MCX's source of that name."""
     return Sun((0, 0, 1), EDGE**-2) if name == "planar" else Pencil()
 
 
 def cloud():
-    """(EDGE,)^3 uint8 from 0 to LEVELS - 1: a sum of waves, cut off so that VOID of it is 0."""
+    """(EDGE,)^3 uint8, 0 to LEVELS - 1: a sum of waves with a threshold; the share VOID is 0."""
     rng = np.random.default_rng(0)
     at = (np.arange(EDGE) + 0.5) / EDGE
     waves = np.zeros((EDGE,) * 3)
@@ -71,7 +71,7 @@ def blocks(fluence):
 
 
 class Rival:
-    """MCX on one problem, with the number of threads that suits it best."""
+    """MCX on one problem, with the fastest number of threads."""
 
     name = "MCX-CL"
 
@@ -102,13 +102,13 @@ class Ours:
     def run(self, seed):
         """(fluence, s)"""
         start = perf_counter()
-        field = trace(*self.arguments, seed=seed, flux=False)  # MCX has none
+        field = trace(*self.arguments, seed=seed, flux=False)  # MCX computes none
         seconds = perf_counter() - start
         return (field.fluence + field.direct)[0], seconds
 
 
 class Summary:
-    """Several runs of one of them: photons/s of the fastest, the mean fluence, its noise."""
+    """Several runs of one program: photons/s of the fastest, the mean fluence, its noise."""
 
     def __init__(self, photons, runs):
         fluences, seconds = (np.array(values) for values in zip(*runs, strict=True))
@@ -161,7 +161,7 @@ def rows(depth, name, photons):
 
 
 def profile(depth, name, photons):
-    """What a collision of ours takes, with all of it and with parts left out."""
+    """The time of one of our collisions, complete and with parts left out."""
     density = cloud() / (LEVELS - 1)
     sigma_t = depth / (density.mean() * EDGE)
     coefficients = (sigma_t * ALBEDO, sigma_t * (1 - ALBEDO), G)

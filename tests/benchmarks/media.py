@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The media and lights that accuracy is measured in: cubes, clouds, smoke, a head, a pillar.
+"""The media and lights for measurements of accuracy: cubes, clouds, smoke, a head, a pillar.
 
-All are cubes of 1 m, but for the head. A "mean depth" is the optical depth from face to face along
-an axis, averaged over all such rays, through voids too.
+All except the head are cubes of 1 m. A "mean depth" is the optical depth from face to face along an
+axis, averaged over all such rays, including those through voids.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from tests.benchmarks.shapes import SHAPES
 from tests.setup import heads
 
 EDGE = 24  # voxels
-TRADED = 32  # voxels of the media whose speed and accuracy are traded
-SPARSE = range(48, 72)  # seeds: of media that are mostly void, which nothing was fitted to
-PLANTS = range(72, 76)  # and of small plants
-RANDOM = range(24, 48)  # seeds: those before were looked at when the planner was made
+TRADED = 32  # voxels of the media for the trade of speed against accuracy
+SPARSE = range(48, 72)  # seeds of mostly void media, to which nothing was fitted
+PLANTS = range(72, 76)  # seeds of small plants
+RANDOM = range(24, 48)  # seeds; earlier ones were used for the design of the planner
 COARSE = 12  # voxels of the media that are refined
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
 DEPTHS = (2, 8, 32, 128)
@@ -29,8 +29,11 @@ REFINED = {"cube 8, g 0": (8, 0), "cube 32, g .85": (32, 0.85)}
 
 @dataclass(frozen=True)
 class Case:
-    """A medium of one band and its lights; the group says which of the tables it belongs to, and
-    `surfaces` whether what shows the light are surfaces, to which lamps send theirs in any case."""
+    """A medium of one band and its lights.
+
+    group     the table that it belongs to
+    surfaces  whether surfaces show the light, which lamps light in any case
+    """
 
     name: str
     medium: Medium
@@ -40,7 +43,7 @@ class Case:
 
 
 def of_depth(density, depth, albedo, g, **rest):
-    """A medium with an edge of 1 m along x, of this mean depth."""
+    """A medium with an edge of 1 m along x and the given mean depth."""
     sigma_t = depth / float(density.mean(dtype=float))
     return Medium(density, 1 / len(density), sigma_t * albedo, sigma_t * (1 - albedo), g, **rest)
 
@@ -65,7 +68,7 @@ def clouds():
 
 
 def smoke():
-    """A plume with a hot core that glows, in the sun."""
+    """A plume with a hot glowing core, in the sun."""
     yield Case("smoke 4, g 0.6, hot core", plume(EDGE), (SUN,))
 
 
@@ -77,7 +80,7 @@ def plume(n):
 
 
 def head():
-    """A tomography on voxels of 8 mm, whose densest voxels are 4 times the water's."""
+    """A tomography in voxels of 8 mm; the densest voxels have 4 times the density of water."""
     size = np.multiply(heads.SLICES[::-1], (0.957, 0.957, 1.5))  # mm
     density = heads.resampled(heads.cranium(), tuple((size / 8).round().astype(int)))
     sigma_t = 50 / (density.mean(dtype=float) * size[0] / 1000)
@@ -99,7 +102,7 @@ def main_cases():
 
 
 def refined_cases():
-    """Media that are constant in coarse voxels, so that finer ones hold exactly the same."""
+    """Media that are constant in coarse voxels, so that finer voxels represent them exactly."""
     even = np.ones((COARSE,) * 3)
     for name, (depth, g) in REFINED.items():
         yield Case(name, of_depth(even, depth, 0.99, g), (SUN,), "refined")
@@ -108,7 +111,7 @@ def refined_cases():
 
 
 def trade_cases():
-    """What the dials are measured in: the media that speed and accuracy are traded for."""
+    """The media in which all settings are measured, for the trade of speed against accuracy."""
     ones = np.ones((TRADED,) * 3)
     for depth in DEPTHS:
         for g in ASYMMETRIES:
@@ -128,7 +131,7 @@ def trade_cases():
 
 
 def random_cases():
-    """Media and lights drawn at random, which nothing was fitted to."""
+    """Random media and lights, to which nothing was fitted."""
     for seed in RANDOM:
         rng = np.random.default_rng([seed, 7])
         medium = random_medium(rng)
@@ -137,13 +140,13 @@ def random_cases():
 
 
 def sparse_cases():
-    """Media in a corner of their domain, 50 to 99 % of which is void, and small plants; half of
-    the media have a lamp in them or beside them."""
+    """Small plants, and media in a corner of a domain that is 50 to 99 % void; half of the media
+    have a lamp inside or beside them."""
     for seed in SPARSE:
         rng = np.random.default_rng([seed, 7])
         density, lower, upper = sparse_density(rng)
         albedo = 1 - 10 ** rng.uniform(-4, -0.3)
-        depth = 10 ** rng.uniform(-0.5, 1.7)  # of a line as long as the matter, in the mean
+        depth = 10 ** rng.uniform(-0.5, 1.7)  # mean of a line through the matter
         mean = float(density.sum() / np.prod(upper - lower))
         sigma_t = depth * EDGE / (mean * (upper - lower).max())
         medium = Medium(
@@ -157,7 +160,7 @@ def sparse_cases():
         yield Case(f"sparse {seed}", medium, lights, "sparse")
     for seed in PLANTS:
         rng = np.random.default_rng([seed, 7])
-        leaves = 10 ** rng.uniform(1.3, 2.3)  # all in all, each in some voxel of a ball
+        leaves = 10 ** rng.uniform(1.3, 2.3)  # in total, each in a random voxel of a ball
         inside = sum(x**2 for x in corners(EDGE)) < 0.8
         density = 1.0 * inside * rng.poisson(leaves / inside.sum(), inside.shape)
         albedo = rng.choice((0.2, 0.5, 0.9))
@@ -178,7 +181,7 @@ def sparse_density(rng):
 
 
 def lamp_beside(rng, lower, upper):
-    """A lamp a tenth to a third of the matter's size away from it."""
+    """A lamp at a distance of a tenth to a third of the matter's size."""
     way = rng.normal(size=3)
     way /= np.abs(way).max()
     size = upper - lower
@@ -234,7 +237,7 @@ def corners(n):
 
 
 def cloud(n, seed=2):
-    """(n, n, n) densities from 0 to 1.5: puffs on a flat base, frayed by noise; most is void."""
+    """(n, n, n) densities from 0 to 1.5: puffs on a flat base, roughened by noise; mostly void."""
     rng = np.random.default_rng(seed)
     x, y, z = corners(n)
     shape = np.full((n,) * 3, -np.inf)
@@ -261,16 +264,16 @@ def crown(n, seed=3):
 
 
 def noise(n, rng):
-    """(n, n, n) of mean 0 and variance 1: as turbulence has it, rough on every scale."""
+    """(n, n, n) of mean 0 and variance 1: turbulence, rough on every scale."""
     waves = np.meshgrid(*[np.fft.fftfreq(n, 1 / n)] * 3, indexing="ij")
     length = np.sqrt(sum(k**2 for k in waves))
     length[0, 0, 0] = np.inf
-    # Kolmogorov's law: energy as k^(-5/3) over shells of area k^2, amplitude its root.
+    # Kolmogorov's law: energy k^(-5/3) over shells of area k^2; the amplitude is its root.
     spectrum = np.fft.fftn(rng.standard_normal((n,) * 3)) * length ** (-11 / 6)
     values = np.fft.ifftn(spectrum).real
     return values / values.std()
 
 
 def bright_zenith(towards):
-    """W/(m^2 sr): a sky that is four times as bright overhead as at the horizon and below."""
+    """W/(m^2 sr): a sky four times as bright overhead as at the horizon and below."""
     return 0.25 + 0.75 * np.maximum(towards[..., 2], 0)

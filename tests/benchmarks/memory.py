@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The memory that a solve is planned to take, and the most that it took, on every device.
+"""Planned memory and measured peak memory of a solve, on every device.
 
     python -m tests.benchmarks.memory DEVICE KERNEL EDGE
 
-measures one, in a process of its own, and prints it as JSON; without arguments it measures
-all. The peak is the process's highest resident size (Linux) beyond what it had after a solve of
-a tiny lattice, which loads the driver and builds its programs.
+measures one solve in a separate process and prints it as JSON; without arguments it measures all.
+The peak is the highest resident size of the process (Linux) minus its size after a solve of a tiny
+lattice, which loads the driver and builds the programs.
 """
 
 import json
@@ -20,21 +20,21 @@ from lb_lighting.transport.solver import KERNELS
 from tests.benchmarks.table import publish
 
 EDGES = (96, 160)  # voxels
-PHYSICAL = "physical"  # stands for a kernel: that of the physical model
+PHYSICAL = "physical"  # in place of a kernel of the paper: the physical model
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
-LAMP = PointLight((-20, 3, 5), 1e5)  # its rays take more memory than a sun's layers
+LAMP = PointLight((-20, 3, 5), 1e5)  # its rays need more memory than a sun's layers
 _ROOT = Path(__file__).parents[2]
 
 
 def plan_and_peak(wanted, kernel, edge):
-    """(planned, measured) bytes of a solve of edge^3 voxels in three bands that differ."""
+    """(planned, measured) bytes of a solve of edge^3 voxels in three different bands."""
     command = [sys.executable, "-m", __spec__.name, wanted, kernel, str(edge)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=_ROOT)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def measure(wanted, kernel, edge):
-    """The same for this process."""
+    """The same, measured in this process."""
     if kernel == PHYSICAL:
         settings, light = Settings(most_steps=2, divide=1), LAMP
     else:
@@ -53,7 +53,7 @@ def _solve(edge, settings, light, wanted):
 
 
 def _peak_memory():
-    """Bytes. Not getrusage's: that begins with the size of the process which started this one."""
+    """Bytes, not from getrusage, which starts at the size of the parent process."""
     with open("/proc/self/status") as lines:
         fields = dict(line.split(":", 1) for line in lines)
     return int(fields["VmHWM"].split()[0]) * 1024

@@ -11,7 +11,8 @@ import numpy as np
 from lb_lighting.transport.photons.linear_majorants import linear_majorants
 from lb_lighting.transport.photons.majorants import constant_majorants
 from lb_lighting.transport.photons.perlin import PerlinMedium
-from tests.benchmarks.freepath import CONTRASTS, SUPERVOXELS
+from tests.benchmarks.freepath_noise import CONTRASTS
+from tests.benchmarks.freepath_timing import SUPERVOXELS
 from tests.benchmarks.table import BUILD
 from tests.setup import heads
 

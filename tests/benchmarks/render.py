@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Final pictures: Cycles with our light against Cycles that follows every scattering itself.
+"""Final pictures: Cycles with baked light, compared with Cycles that traces every scattering.
 
     python -m tests.benchmarks.render [PART ...]
 
 PART is clouds, trees, smoke, teapot, large, flicker, turning, mitsuba, forward, around, or the name
-of a scene; default: all. Ours is what Bake makes with the quality Custom, whose defaults are the
-lattice alone in all voxels, rendered with the settings of Use LB Light. Each Cycles setting is
-rendered with several numbers of samples n; its error is fitted by e^2 = bias^2 + variance / n and
-its cost by start + each n, which gives its time at any error.
-Pictures are left in build/bench/render for `python -m tests.benchmarks.render_plots`.
+of a scene; default: all. Our pictures are bakes with the quality Custom, whose defaults solve all
+voxels on the lattice alone, rendered with the settings of Use LB Light. Each Cycles setting is
+rendered with several numbers of samples n. Its error is fitted by e^2 = bias^2 + variance / n and
+its cost by start + each n, which gives its time at any error. Pictures are written to
+build/bench/render for `python -m tests.benchmarks.render_plots`.
 """
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,24 +28,31 @@ from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
 from lb_lighting.output import render_settings  # noqa: E402
 from tests.benchmarks import crowns, endtoend, pictures, shots  # noqa: E402
-from tests.benchmarks.table import BUILD, publish  # noqa: E402
+from tests.benchmarks.render_measures import (  # noqa: E402
+    TARGET,
+    VIEWS,
+    Fit,
+    cost,
+    figures,
+    flip,
+    keep,
+    reference,
+    summary,
+)
+from tests.benchmarks.table import publish  # noqa: E402
 from tests.setup import peers  # noqa: E402
 
-PICTURES = BUILD / "render"
-TARGET = 0.06  # error of a picture that is good enough
-VIEWS = 24
-FULL = 1920 * 1080 / pictures.SIZE**2  # the pixels of a full picture, over those of ours
-FLICKER = 4  # samples of ours where pictures move
-FEW = 16  # of either half of the references of those
-MANY = 65  # of a picture that tells what each costs: fewer are lost in what the start costs
-LARGE, LARGE_HALF = 512, 128  # pixels along an edge; samples of either half of the reference
-LOOSE = 0.1  # error of pixels
+FLICKER = 4  # samples of our moving pictures
+FEW = 16  # samples of each half of their references
+MANY = 65  # samples from which the cost of one is measured: the start dominates the cost of fewer
+LARGE, LARGE_HALF = 512, 128  # pixels along an edge; samples of each half of the reference
+LOOSE = 0.1  # target error of pixels
 TREES = ("green tree, sun and sky", "white tree, sun", "white tree, white sky, baked")
 STEP = 0.05  # rad from view to view
-MITSUBA = 32  # samples of either of its pictures
+MITSUBA = 32  # samples of each of its two pictures
 OPINIONS = ("cloud, albedo 0.99, g 0", "cloud, albedo 0.99, g 0.85")
 FORWARD = "cloud, albedo 0.99, g 0.85"
-OTHERWISE = (
+VARIANTS = (
     {},
     {"gather": False},
     {"handover": 4.0},
@@ -58,7 +65,7 @@ CAMERAS = {
     "aside": (0.9, -2.8, 0.6),
     "against the sun": (2.4, 0.9, -1.2),
 }
-AROUND = 24  # samples of Cycles from each of them, by two seeds; means are known to some 2 %
+AROUND = 24  # samples of Cycles per camera, with two seeds; means are accurate to about 2 %
 DEVICE = "Cycles on the processor"
 
 
@@ -66,43 +73,26 @@ DEVICE = "Cycles on the processor"
 
 
 def rows_of(shot):
-    """[row] for each picture of it; the pictures go to a file."""
+    """[row] for each picture of a shot; the pictures are written to a file."""
     halves = reference(shot)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        found = [*by_cycles(shot, folder), *with_our_light(shot, folder)]
-    images = np.array([image for _, image in found], np.float32)
+        rendered = [*by_cycles(shot, folder), *with_our_light(shot, folder)]
+    images = np.array([image for _, image in rendered], np.float32)
     flips = flip(images, halves.mean(axis=0))
     rows = [
-        row | figures(image, halves, shot.block) | {"FLIP": float(seen)}
-        for (row, image), seen in zip(found, flips, strict=True)
+        row | figures(image, halves, shot.block) | {"FLIP": float(score)}
+        for (row, image), score in zip(rendered, flips, strict=True)
     ]
     keep(shot.name, halves, images)
     stored = pictures.stored(shot.known_by, halves, shot.half, shot.bounces[0])
     return [{"scene": shot.name} | row | {"reference / stored": stored} for row in rows]
 
 
-def reference(shot):
-    """(2, SIZE, SIZE, 3): see `pictures.reference`."""
-    with TemporaryDirectory() as folder:
-        return pictures.reference(
-            shot.known_by, lambda: shot.build(Path(folder)), shot.half, shot.bounces[0]
-        )
-
-
-def keep(name, wanted, images):
-    """What is to be drawn later."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    arrays = {"reference": wanted, "images": images}
-    np.savez_compressed(
-        PICTURES / f"{name}.npz", **{k: np.asarray(v, np.float32) for k, v in arrays.items()}
-    )
-
-
 def by_cycles(shot, folder):
-    """(row, picture) for each setting that follows the light itself."""
+    """(row, picture) for each setting with which Cycles traces the light."""
     shot.build(folder)
-    pictures.picture(1, 0)  # what is loaded once for all
+    pictures.picture(1, 0)  # loads everything, untimed
     for bounces in shot.bounces:
         for denoise in (False, True):
             light = f"{bounces} bounces" + ", denoised" * denoise
@@ -113,7 +103,7 @@ def by_cycles(shot, folder):
 
 
 def with_our_light(shot, folder):
-    """(row, picture) for each number of samples; the first bake is not counted, as it compiles."""
+    """(row, picture) for each number of samples; the first bake compiles and is not counted."""
     baked(shot, folder)
     baking, _ = baked(shot, folder)
     pictures.picture(1)
@@ -124,9 +114,9 @@ def with_our_light(shot, folder):
 
 
 def baked(shot, folder, **changes):
-    """(`Meter`, `Outcome`) of lighting the scene, which then is ready to be rendered.
+    """(`Meter`, `Outcome`) of a bake, after which the scene is ready to be rendered.
 
-    changes  of the default options
+    changes  options that differ from the defaults
     """
     objects = shot.build(folder)
     meter = pictures.Meter()
@@ -138,117 +128,11 @@ def baked(shot, folder, **changes):
     return meter, outcome
 
 
-def cost(light, samples, meter):
-    found = {"light": light, "samples": samples}
-    return found | {"processor s": meter.processor, "wall s": meter.wall}
-
-
-def figures(image, halves, block):
-    coarse = pictures.blocks(image), pictures.blocks(halves)
-    pixels = pictures.error(image, halves)
-    return {
-        "error": pixels if block == 1 else pictures.error(*coarse),
-        "of pixels": pixels,
-        "of 4x4 means": pictures.error(*coarse),
-        "mean": pictures.brightness(image, halves),
-        "reference's noise": pictures.noise(halves),
-    }
-
-
-def flip(images, wanted):
-    """FLIP of each of `images`; the noise of the reference is in it."""
-    white = float(np.percentile(wanted, 99.5))
-    return peers.run("flip", wanted=wanted, found=images, white=white)["flip"]
-
-
-# --- What it comes to ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Error and processor time of a setting by its number of samples."""
-
-    bias: float
-    variance: float
-    start: float
-    each: float
-
-    @classmethod
-    def of(cls, rows):
-        n, error, seconds = (
-            np.array([row[name] for row in rows], float)
-            for name in ("samples", "error", "processor s")
-        )
-        square = _nonnegative(1 / error**2, 1 / n / error**2)
-        start, each = _nonnegative(1 / seconds, n / seconds)
-        return cls(float(np.sqrt(square[0])), square[1], start, each)
-
-    def samples(self, error):
-        """As few as reach it: a whole number, or infinity."""
-        left = error**2 - self.bias**2
-        return max(1.0, np.ceil(self.variance / left)) if left > 0 else np.inf
-
-    def seconds(self, error, views=1, size=1.0):
-        """To reach it in so many views of one scene, which is set up once; size: of a picture,
-        over that of ours."""
-        return self.start + views * size * self.each * self.samples(error)
-
-
-def _nonnegative(first, second):
-    """The two factors, none below 0, whose sum of columns is nearest to 1."""
-    columns = np.stack([first, second], axis=1)
-    one = np.ones(len(first))
-    both = np.linalg.lstsq(columns, one, rcond=None)[0]
-    if (both >= 0).all():
-        return both
-    alone = [max(0.0, float(column @ one / (column @ column))) for column in columns.T]
-    left = [np.linalg.norm(one - alone[i] * columns[:, i]) for i in (0, 1)]
-    return (alone[0], 0.0) if left[0] < left[1] else (0.0, alone[1])
-
-
-def summary(rows):
-    """The row on a scene: processor time to the target, and how many times less ours is."""
-    fits = {
-        light: Fit.of([row for row in rows if row["light"] == light])
-        for light in dict.fromkeys(row["light"] for row in rows)
-    }
-    ours, last = fits.pop("ours"), rows[-1]
-    baking = last["bake, processor s"]
-    plain = [fit for light, fit in fits.items() if "denoised" not in light]
-    denoised = [fit for light, fit in fits.items() if "denoised" in light]
-
-    def seconds(some, **facts):
-        return min(fit.seconds(TARGET, **facts) for fit in some)
-
-    def times(some, **facts):
-        return seconds(some, **facts) / (baking + seconds([ours], **facts))
-
-    equal = min(fit.seconds(last["error"]) for fit in plain)
-    row = {
-        "our error": last["error"],
-        "our mean": last["mean"],
-        "bake, s": baking,
-        "with picture, s": baking + seconds([ours]),
-        "Cycles, s": seconds(plain),
-        "denoised, s": seconds(denoised),
-        "ratio": times(plain),
-        "denoised": times(denoised),
-        f"{VIEWS} views": times(plain, views=VIEWS),
-        f"{VIEWS} views, denoised": times(denoised, views=VIEWS),
-        "1920 x 1080": times(plain, size=FULL),
-        "1920 x 1080, denoised": times(denoised, size=FULL),
-        "at our error": equal / (baking + last["processor s"]),
-    }
-    return {"scene": last["scene"]} | {
-        name: float(value) if 0 < value < np.inf else "not reached" for name, value in row.items()
-    }
-
-
 # --- Trees whose leaves are larger than pixels ---------------------------------------------------
 
 
 def large():
-    """[row]: processor time to an error of LOOSE, of the pixels of pictures of trees."""
+    """[row]: processor time to a pixel error of LOOSE in pictures of trees."""
     return [large_row(shot) for shot in shots.shots() if shot.name in TREES]
 
 
@@ -270,16 +154,16 @@ def large_row(shot):
         cycles = Fit.of(list(rows(shot.bounces[1])))
         baked(shot, folder)
         baking = baked(shot, folder)[0].processor
-        found = list(rows())
-    ours = Fit.of(found)
+        our_rows = list(rows())
+    ours = Fit.of(our_rows)
     ratios = {
         views: cycles.seconds(LOOSE, views) / (baking + ours.seconds(LOOSE, views))
         for views in (1, VIEWS)
     }
     return {
         "scene": shot.name,
-        "our error": found[-1]["error"],
-        "our mean": found[-1]["mean"],
+        "our error": our_rows[-1]["error"],
+        "our mean": our_rows[-1]["mean"],
         "bake, s": baking,
         "a picture, s": ours.seconds(LOOSE),
         "samples": ours.samples(LOOSE),
@@ -294,7 +178,7 @@ def large_row(shot):
 
 
 def flicker():
-    """[row]: a fire, frame by frame, in as much time a frame."""
+    """[row]: a fire, frame by frame, with equal time per frame."""
     frames = [shots.fire(frame) for frame in range(1, shots.FRAMES + 1)]
     halves = np.array([reference(replace(frame, half=FEW)) for frame in frames])
     with TemporaryDirectory() as name:
@@ -304,7 +188,7 @@ def flicker():
         for number, frame in enumerate(frames):
             meter.add(baked(frame, folder)[0])
             ours.append(pictures.picture(FLICKER, seed=number, meter=meter))
-        found = {("ours", FLICKER): (meter, ours)}
+        rendered = {("ours", FLICKER): (meter, ours)}
         samples = affordable(frames[0], folder, meter.processor / len(frames))
         for denoise in (False, True):
             meter, theirs = pictures.Meter(), []
@@ -313,14 +197,17 @@ def flicker():
                 theirs.append(
                     pictures.picture(samples, frame.bounces[0], number, denoise, meter=meter)
                 )
-            found["Cycles" + ", denoised" * denoise, samples] = meter, theirs
-    keep("flicker", halves[:, 0], [images for _, images in found.values()])
-    return moving(found, halves)
+            rendered["Cycles" + ", denoised" * denoise, samples] = meter, theirs
+    keep("flicker", halves[:, 0], [images for _, images in rendered.values()])
+    return moving(rendered, halves)
 
 
-def moving(found, halves):
-    """[row] for {(light, samples): (`Meter`, pictures (frames, ...))} of frames that differ; halves
-    (frames, 2, ...) of the reference."""
+def moving(rendered, halves):
+    """[row] of moving pictures.
+
+    rendered  {(light, samples): (`Meter`, pictures (frames, ...))}
+    halves    (frames, 2, ...) of the reference
+    """
     return [
         {
             "light": light,
@@ -329,25 +216,25 @@ def moving(found, halves):
             "flicker": pictures.flicker(np.array(images), halves),
             "error": pictures.error(np.array(images), halves.swapaxes(0, 1)),
         }
-        for (light, samples), (meter, images) in found.items()
+        for (light, samples), (meter, images) in rendered.items()
     ]
 
 
 def turning():
-    """[row]: trees that the camera goes around, baked once, in as much time with the bake in it."""
+    """[row]: trees baked once, with a camera that moves around them, in equal time."""
     shown = [shot for shot in shots.shots() if shot.name in TREES]
     return [{"scene": shot.name} | row for shot in shown for row in turned(shot)]
 
 
 def turned(shot):
-    """[row] of one tree, seen from VIEWS sides, STEP apart; figures are of 4x4 means."""
+    """[row] of one tree from VIEWS sides, STEP apart; errors are those of 4x4 means."""
 
     def seen(samples, bounces=None, seed=None, denoise=False, meter=None):
         images = []
         for number in range(VIEWS):
             crowns.look(crowns.CASES["tree"], "lit", number * STEP)
-            own = number if seed is None else seed
-            images.append(pictures.picture(samples, bounces, own, denoise, meter))
+            view_seed = number if seed is None else seed
+            images.append(pictures.picture(samples, bounces, view_seed, denoise, meter))
         return pictures.blocks(np.array(images))
 
     with TemporaryDirectory() as name:
@@ -355,18 +242,18 @@ def turned(shot):
         baked(shot, folder)
         meter, _ = baked(shot, folder)
         pictures.picture(1)
-        found = {("ours", FEW): (meter, seen(FEW, meter=meter))}
+        rendered = {("ours", FEW): (meter, seen(FEW, meter=meter))}
         samples = affordable(shot, folder, meter.processor / VIEWS)
         for denoise in (False, True):
-            own = pictures.Meter()
-            images = seen(samples, shot.bounces[0], denoise=denoise, meter=own)
-            found["Cycles" + ", denoised" * denoise, samples] = own, images
+            meter = pictures.Meter()
+            images = seen(samples, shot.bounces[0], denoise=denoise, meter=meter)
+            rendered["Cycles" + ", denoised" * denoise, samples] = meter, images
         halves = [seen(shot.half, shot.bounces[0], seed) for seed in pictures.SEEDS]
-    return moving(found, np.stack(halves, axis=1))
+    return moving(rendered, np.stack(halves, axis=1))
 
 
 def affordable(shot, folder, seconds):
-    """The samples that Cycles has time for in `seconds` of processor time, at least one."""
+    """The number of samples that Cycles renders in `seconds` of processor time, at least one."""
     shot.build(folder)
     costs = []
     for samples in (1, MANY):
@@ -381,7 +268,7 @@ def affordable(shot, folder, seconds):
 
 
 def opinions():
-    """[row]: Mitsuba's pictures of the clouds against those of Cycles."""
+    """[row]: Mitsuba's pictures of the clouds, compared with those of Cycles."""
     return [opinion(shot) for shot in shots.shots() if shot.name in OPINIONS]
 
 
@@ -390,7 +277,7 @@ def opinion(shot):
     edge = endtoend.EDGE * endtoend.VOXEL / 2
     meter = pictures.Meter()
     with meter():
-        found = peers.run(
+        by_mitsuba = peers.run(
             "mitsuba_cloud",
             density=case.density,
             lower=np.full(3, -edge),
@@ -406,7 +293,7 @@ def opinion(shot):
             samples=MITSUBA,
             seeds=(1, 2),
         )["pictures"]
-    theirs = np.repeat(found[..., None], 3, axis=-1).astype(float)
+    theirs = np.repeat(by_mitsuba[..., None], 3, axis=-1).astype(float)
     single = pictures.error(theirs[0], halves)
     return {
         "scene": shot.name,
@@ -419,15 +306,15 @@ def opinion(shot):
     }
 
 
-# --- Light that goes on forwards -----------------------------------------------------------------
+# --- Forward scattering --------------------------------------------------------------------------
 
 
 def forward():
-    """[row]: the cloud that is too dark, baked otherwise: is it the light, or how it is shown?"""
+    """[row]: the cloud that is too dark, with other options: is the light or its display wrong?"""
     shot = next(shot for shot in shots.shots() if shot.name == FORWARD)
     halves, rows = reference(shot), []
     with TemporaryDirectory() as name:
-        for changes in OTHERWISE:
+        for changes in VARIANTS:
             baking, outcome = baked(shot, Path(name), **changes)
             meter = pictures.Meter()
             image = pictures.picture(16 if "mode" in changes else 1, meter=meter)
@@ -444,7 +331,7 @@ def forward():
 
 
 def around():
-    """[row]: the mean of the same cloud from other sides, over that of Cycles."""
+    """[row]: the mean of the same cloud from other sides, relative to Cycles."""
     shot = next(shot for shot in shots.shots() if shot.name == FORWARD)
 
     def seen_from(place, *settings):
@@ -456,15 +343,15 @@ def around():
     rows = [{"camera": camera} for camera in CAMERAS]
     with TemporaryDirectory() as name:
         shot.build(Path(name))
-        wanted = [
+        references = [
             np.array([seen_from(place, AROUND, shot.bounces[0], seed) for seed in pictures.SEEDS])
             for place in CAMERAS.values()
         ]
         for gather in (True, False):
             baked(shot, Path(name), gather=gather)
-            told = "gathered" if gather else "not gathered"
-            for row, place, image in zip(rows, CAMERAS.values(), wanted, strict=True):
-                row[told] = float(seen_from(place, 1).mean() / image.mean())
+            column = "ordinates" if gather else "lattice alone"
+            for row, place, image in zip(rows, CAMERAS.values(), references, strict=True):
+                row[column] = float(seen_from(place, 1).mean() / image.mean())
     return rows
 
 
@@ -483,9 +370,9 @@ def main():
     parser.add_argument("parts", nargs="*", help="default: all")
     chosen = set(parser.parse_args().parts)
     lb_lighting.register()
-    wanted = [s for s in shots.shots() if not chosen or {s.name, s.group} & chosen]
-    for group, some in groupby(wanted, key=lambda shot: shot.group):
-        scenes = [rows_of(shot) for shot in some]
+    selected = [s for s in shots.shots() if not chosen or {s.name, s.group} & chosen]
+    for group, group_shots in groupby(selected, key=lambda shot: shot.group):
+        scenes = [rows_of(shot) for shot in group_shots]
         publish(f"render-{group}", DEVICE, [row for rows in scenes for row in rows])
         publish(f"render-{group}-summary", DEVICE, list(map(summary, scenes)))
     for name, part in PARTS.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every benchmark does with its rows: a table for people, a .json for programs."""
+"""Output of the benchmarks: a table for people, a .json file for programs."""
 
 import json
 from pathlib import Path

@@ -16,7 +16,8 @@ import numpy as np
 from lb_lighting.transport import Sun, device
 from lb_lighting.transport.photons.perlin import PerlinMedium
 from lb_lighting.transport.photons.trace import trace
-from tests.benchmarks.freepath import CONTRASTS, markdown
+from tests.benchmarks.freepath import markdown
+from tests.benchmarks.freepath_noise import CONTRASTS
 from tests.benchmarks.table import publish
 
 RESOLUTION, CELLS = 4096, 128

@@ -16,7 +16,7 @@ from mathutils import Vector
 from lb_lighting.output.render_settings import restore_scene
 from tests import scenery
 from tests.output.rendering import dark_scene, render, silent_stdout
-from tests.scene.lights.test_lamps import add_environment, add_mapping
+from tests.scene.lights.scenes import add_environment, add_mapping
 
 EDGE = 16  # voxels of the cloud, 2 m
 EYE, WIDTH = (0, -8, 4), 2.4  # m, of the camera

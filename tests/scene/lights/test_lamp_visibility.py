@@ -216,7 +216,7 @@ class TestLampNodes:
 
     def test_nodes_with_a_constant_result_are_computed(self, render):
         """Compared with Cycles on white ground 3 m below the lamp."""
-        from tests.scene.lights.test_lamps import add_white_ground
+        from tests.scene.lights.scenes import add_white_ground
 
         add_white_ground()
         lamp = add_point(energy=100.0, shadow_soft_size=0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps and the world, checked against Cycles."""
+"""Lamps, checked against Cycles."""
 
 from math import pi, radians
 
@@ -11,87 +11,9 @@ from mathutils import Euler
 from lb_lighting.errors import LightError
 from lb_lighting.scene.lights.lamps import scene_lights
 from lb_lighting.transport import Medium
-from lb_lighting.transport.lights.base import bands_of
-from lb_lighting.transport.lights.distant import Sky, Sun
+from lb_lighting.transport.lights.distant import Sun
 from lb_lighting.transport.lights.lamps import AreaLight, PointLight, SpotLight
-from lb_lighting.transport.lights.sampling import even_directions
-
-
-def add_sun(collection=None, rotation=(0, 0, 0), **settings):
-    lamp = bpy.data.lights.new("sun", "SUN")
-    for name, value in settings.items():
-        setattr(lamp, name, value)
-    ob = bpy.data.objects.new("sun", lamp)
-    ob.rotation_euler = rotation
-    (collection or bpy.context.collection).objects.link(ob)
-    return ob
-
-
-def add_lamp(kind, location=(0, 0, 0), **settings):
-    lamp = bpy.data.lights.new(kind.lower(), kind)
-    for name, value in settings.items():
-        setattr(lamp, name, value)
-    ob = bpy.data.objects.new(lamp.name, lamp)
-    ob.location = location
-    bpy.context.collection.objects.link(ob)
-    return ob
-
-
-def add_world(color=(1, 1, 1), strength=1.0):
-    world = bpy.context.scene.world = bpy.data.worlds.new("world")
-    background = world.node_tree.nodes["Background"]
-    background.inputs["Color"].default_value = (*color, 1)
-    background.inputs["Strength"].default_value = strength
-    return world
-
-
-def add_environment(world, pixels):
-    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
-    height, width, _four = pixels.shape
-    node.image = bpy.data.images.new("sky", width, height, float_buffer=True)
-    node.image.pixels.foreach_set(pixels.astype(np.float32).ravel())
-    world.node_tree.links.new(node.outputs[0], world.node_tree.nodes["Background"].inputs["Color"])
-    return node
-
-
-def add_mapping(environment, kind, rotation):
-    tree = environment.id_data
-    mapping, place = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
-    mapping.vector_type = kind
-    mapping.inputs["Rotation"].default_value = rotation
-    tree.links.new(place.outputs["Generated"], mapping.inputs["Vector"])
-    tree.links.new(mapping.outputs["Vector"], environment.inputs["Vector"])
-    return mapping
-
-
-def add_white_ground():
-    bpy.ops.mesh.primitive_plane_add(size=4)
-    material = bpy.data.materials.new("white")
-    nodes = material.node_tree.nodes
-    nodes["Principled BSDF"].inputs["Base Color"].default_value = (1, 1, 1, 1)
-    nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0
-    bpy.context.object.data.materials.append(material)
-
-
-def lights(notes=None):
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    return scene_lights(bpy.context.scene, depsgraph, [] if notes is None else notes)
-
-
-def irradiance(lights, normal):
-    """(3,) W/m^2 on a surface, from suns, and from 100 000 directions of skies."""
-    total = np.zeros(3)
-    for light in lights:
-        if isinstance(light, Sun):
-            total += np.multiply(light.irradiance, max(0, -np.dot(light.direction, normal)))
-        else:
-            towards = even_directions(np.arange(100_000), 100_000)
-            weights = 4 * pi * np.maximum(towards @ normal, 0) / len(towards)
-            radiance = light.towards(towards)
-            if np.ndim(radiance) < 2 and callable(light.radiance):
-                radiance = radiance[:, None]
-            total += weights @ np.broadcast_to(radiance, (len(towards), 3))
-    return total
+from tests.scene.lights.scenes import add_lamp, add_sun, add_white_ground, lights
 
 
 class TestSuns:
@@ -357,107 +279,5 @@ class TestAreas:
 
     def test_portals_are_left_out(self):
         add_lamp("AREA").data.cycles.is_portal = True
-        with pytest.raises(LightError, match="no light"):
-            lights()
-
-
-class TestWorld:
-    def test_color_times_strength(self):
-        add_world((0.5, 0.25, 1), 2.0)
-        (sky,) = lights()
-        assert isinstance(sky, Sky)
-        assert sky.radiance == pytest.approx((1, 0.5, 2))
-
-    def test_grey_is_a_scalar(self):
-        add_world(strength=0.5)
-        assert lights() == [Sky(0.5)]
-
-    def test_beside_a_sun(self):
-        add_world(strength=0.5)
-        add_sun(energy=2.0)
-        assert [type(light) for light in lights()] == [Sun, Sky]
-        assert [light.spectrum for light in lights()] == [2, 0.5]
-
-    def test_an_environment_becomes_a_sky(self):
-        """Radiance 1 above 45 degrees of latitude."""
-        pixels = np.zeros((64, 8, 4))
-        pixels[48:] = 1
-        add_environment(add_world(), pixels)
-        (sky,) = lights()
-        assert sky.towards((0, 0, 1)) == pytest.approx(1, rel=1e-2)
-        assert sky.towards((0.8, 0, 0.6)) == 0
-        assert irradiance([sky], (0, 0, 1)) == pytest.approx((pi / 2,) * 3, rel=5e-3)
-
-    @pytest.mark.parametrize(
-        ("kind", "rotation"),
-        [(None, None), ("POINT", (0, 0, 0.8)), ("POINT", (0.5, -0.9, 2.1)),
-         ("TEXTURE", (0.5, -0.9, 2.1)), ("VECTOR", (0, 0, -2.5))],
-    )  # fmt: skip
-    def test_an_environment_lights_as_in_cycles(self, kind, rotation, render):
-        """A tilted ground under a coloured sky with a small sun in it, for several rotations."""
-        add_white_ground()
-        bpy.context.object.rotation_euler = Euler((0.6, -0.5, 0))
-        normal = np.array(bpy.context.object.rotation_euler.to_matrix().col[2])
-        row, column = np.indices((64, 128))
-        pixels = np.ones((64, 128, 4))
-        pixels[..., :3] = np.stack((row / 64, column / 128, np.ones_like(row)), axis=-1)
-        pixels[40:42, 30:32, :3] = (2000, 1000, 500)
-        render()  # makes the camera, and a world that the next line replaces
-        world = add_world(strength=0.5)
-        environment = add_environment(world, pixels)
-        if kind:
-            add_mapping(environment, kind, rotation)
-        sky_lights = lights()
-        assert {type(light) for light in sky_lights} == {Sun, Sky}
-        bpy.context.scene.cycles.samples = 1024
-        assert render() * pi == pytest.approx(irradiance(sky_lights, normal), rel=2e-2)
-
-    def test_a_grey_environment_is_one_band(self):
-        pixels = np.ones((8, 16, 4)) * np.linspace(0, 1, 16)[:, None]
-        add_environment(add_world(strength=2.0), pixels)
-        (sky,) = lights()
-        assert bands_of(sky) == 1
-        add_environment(add_world((1, 1, 1)), pixels * (1, 0.5, 1, 1))
-        assert bands_of(lights()[0]) == 3
-
-    def test_an_environment_with_another_mapping_becomes_its_mean_color(self):
-        pixels = np.zeros((64, 8, 4))
-        pixels[48:] = 1
-        environment, notes = add_environment(add_world(), pixels), []
-        mapping = add_mapping(environment, "POINT", (0, 0, 1))
-        mapping.inputs["Scale"].default_value = (1, 1, 2)
-        (sky,) = lights(notes)
-        assert sky.radiance == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
-        assert len(notes) == 1
-        assert "'world' is baked as its mean colour" in notes[0]
-
-    def test_missing_image_is_refused(self):
-        world = add_world()
-        add_environment(world, np.ones((2, 2, 4))).image = None
-        with pytest.raises(LightError, match=r"'world'.*not loaded"):
-            lights()
-
-    def test_sky_texture_is_refused(self):
-        world = add_world()
-        tree = world.node_tree
-        sky = tree.nodes.new("ShaderNodeTexSky")
-        tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
-        with pytest.raises(
-            LightError, match=r"'Sky Texture'.*; use a constant value or an image\.$"
-        ):
-            lights()
-
-    def test_other_shaders_than_background_are_refused(self):
-        tree = add_world().node_tree
-        shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
-        output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")
-        tree.links.new(shader.outputs[0], output.inputs["Surface"])
-        with pytest.raises(LightError, match=r"'Diffuse BSDF'.*; replace it\.$"):
-            lights()
-
-    def test_no_light_at_all(self):
-        with pytest.raises(LightError, match="no light"):
-            lights()
-        add_world((0, 0, 0))
         with pytest.raises(LightError, match="no light"):
             lights()

@@ -5,7 +5,7 @@ import pytest
 
 from lb_lighting.scene.lights.light_nodes import LightShader
 from lb_lighting.scene.nodes.shaders import Shader
-from tests.scene.nodes.test_shaders import COLORS, STRENGTHS
+from tests.scene.nodes.sockets import COLORS, STRENGTHS
 from tests.scene.trees import add_node, connect, make_material
 
 

@@ -9,7 +9,7 @@ from lb_lighting.transport.lattice.convergence import converge
 from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import WEIGHTS
 from lb_lighting.transport.lattice.multigrid import Level, shapes
-from tests.benchmarks.settling import ByStepsAlone, difference, medium, settled, started
+from tests.benchmarks.convergence import ByStepsAlone, converged, difference, medium, started
 from tests.tracing import OPENCL, name
 
 on_opencl = pytest.mark.parametrize("device", OPENCL, ids=name)
@@ -98,10 +98,10 @@ def test_edges_are_halved_until_they_are_short():
 
 @pytest.mark.parametrize("seed", range(40))
 def test_random_media_settle_to_the_tolerance(seed):
-    """`python -m tests.benchmarks.settling` does it with 200."""
+    """`python -m tests.benchmarks.convergence` does the same with 200."""
     optics = medium(seed)
-    light, unsettled = settled(OPENCL[0], optics)
-    assert unsettled < 1e-5
+    light, residual = converged(OPENCL[0], optics)
+    assert residual < 1e-5
     level = started(Level, OPENCL[0], optics)
     error, steps, _ = converge(level, TOLERANCE, MANY, lambda _error: None)
     assert error <= TOLERANCE
@@ -137,7 +137,7 @@ def test_corrections_that_make_it_worse_are_taken_back_and_given_up():
         def take_back(self):
             self.lattice.prolongate(self.coarser.lattice, -10.0)
 
-    light, _ = settled(OPENCL[0], thick())
+    light, _ = converged(OPENCL[0], thick())
     level = started(Wrong, OPENCL[0], thick())
     error, steps, corrections = converge(level, TOLERANCE, MANY, lambda _error: None)
     assert corrections == 1

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Free paths: every sampler draws the law exp(-optical depth), whatever the medium and the rays."""
+"""Free paths along any ray: where they begin and end, what they depend on, and bad input."""
 
 import warnings
-from copy import copy
 from dataclasses import replace
-from functools import cache
 from itertools import product
-from math import erf, exp, sqrt
+from math import sqrt
 
 import numpy as np
 import pytest
 
-from lb_lighting.errors import DeviceError, MediumError, SettingsError, SolverError
+from lb_lighting.errors import DeviceError, MediumError, SettingsError
 from lb_lighting.transport import Medium, device
-from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.photons import free_path
 from lb_lighting.transport.photons.free_path import (
     SAMPLERS,
@@ -21,290 +18,23 @@ from lb_lighting.transport.photons.free_path import (
     path_grid,
     sample_free_paths,
 )
-from lb_lighting.transport.photons.perlin import STRONG, WEAK, PerlinMedium
-from tests.statistics import alike, normal, sidak, uniform
-
-# Every statistical test here has this probability to fail by chance, had it other seeds.
-FALSE_ALARM = 1e-4
-
-FOUND = device.devices()
-each_sampler = pytest.mark.parametrize("sampler", SAMPLERS)
-VIRTUAL = SAMPLERS[1:]  # those that fill up with virtual particles
-INTERPOLATIONS = ("constant", "linear")
-each_interpolation = pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-
-ORIGIN = (1.0, -2.0, 0.5)
-VOXEL = 0.25  # m
-SHAPE = (17, 11, 14)
-
-
-# The law, in float64 and independent of what is tested.
-
-
-def density_at(medium, interpolation, points):
-    """The density at points (..., 3) in voxels; 0 outside."""
-    inside = ((points >= 0) & (points < medium.shape)).all(axis=-1)
-    if isinstance(medium, PerlinMedium):
-        return np.where(inside, medium.density_at(np.clip(points, 0, medium.resolution)), 0)
-    if interpolation == "constant":
-        voxel = np.clip(points.astype(int), 0, np.subtract(medium.shape, 1))
-        return np.where(inside, medium.density[tuple(np.moveaxis(voxel, -1, 0))], 0)
-    place = np.clip(points - 0.5, 0, np.subtract(medium.shape, 1))
-    low = np.floor(place).astype(int)
-    share = np.moveaxis(place - low, -1, 0)
-    density = 0
-    for corner in product((0, 1), repeat=3):
-        voxel = np.minimum(low + corner, np.subtract(medium.shape, 1))
-        weight = np.prod([s if c else 1 - s for s, c in zip(share, corner, strict=True)], axis=0)
-        density = density + weight * medium.density[tuple(np.moveaxis(voxel, -1, 0))]
-    return np.where(inside, density, 0)
-
-
-def optical_depth(medium, interpolation, origins, directions, distances, band=0):
-    """(n,) along rays, up to `distances` m.
-
-    Two points of Gauss and Legendre between any two planes: exact, as the density is a polynomial
-    of the third degree there (for noise with a power of 1).
-    """
-    start = (origins - np.array(medium.origin)) / medium.voxel_size
-    way = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    crossings = [np.zeros((len(start), 1)), distances[:, None] / medium.voxel_size]
-    for axis, n in enumerate(medium.shape):
-        planes = np.arange(n + 1.0)
-        if interpolation == "linear":
-            planes = np.array([0, *(planes[:-1] + 0.5), n])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossings.append((planes - start[:, axis, None]) / way[:, axis, None])
-    crossings = np.nan_to_num(np.concatenate(crossings, axis=1), nan=0, posinf=1e9, neginf=0)
-    crossings = np.sort(np.clip(crossings, 0, crossings[:, 1:2]), axis=1)
-    row, column = np.nonzero(np.diff(crossings))
-    near, far = crossings[row, column], crossings[row, column + 1]
-    integral = 0
-    for place in (-1, 1):
-        length = (near + far) / 2 + place * (far - near) / 2 / sqrt(3)
-        points = start[row] + length[:, None] * way[row]
-        integral = integral + density_at(medium, interpolation, points) * (far - near) / 2
-    depth = np.bincount(row, integral, minlength=len(start))
-    return depth * medium.sigma_t[band] * medium.voxel_size
-
-
-def law(depths, whole):
-    """Three p-values of sampled optical depths, infinite for rays that left, to be of the law.
-
-    whole  (n,) optical depth of the rays to infinity
-    How many collided, by the normal approximation; and where, if they did, by the tests of
-    Kolmogorov and Smirnov and of chi-square: given a collision, (1 - exp(-depth)) / its
-    probability is uniform.
-    """
-    probability = -np.expm1(-whole)
-    hit = np.isfinite(depths)
-    error = sqrt((probability * (1 - probability)).sum())
-    excess = hit.sum() - probability.sum()
-    count = normal(excess / error) if error else float(excess == 0)
-    return [count, *uniform(-np.expm1(-depths[hit]) / probability[hit])]
-
-
-def law_of_rays(prepared, interpolation, origins, directions, seed):
-    """The p-values of `law` for what a FreePathSampler draws along any rays."""
-    medium, band = prepared.grid.medium, prepared.band
-    distances = prepared.sample(origins, directions, seed)
-    rays = medium, interpolation, origins, directions
-    whole = optical_depth(*rays, np.full(len(origins), np.inf), band)
-    depths = np.full(len(origins), np.inf)
-    hit = np.isfinite(distances)
-    assert not np.any(hit[whole == 0])
-    depths[hit] = optical_depth(*rays[:2], origins[hit], directions[hit], distances[hit], band)
-    return law(depths[whole > 0], whole[whole > 0])
-
-
-# Media and rays.
-
-
-def voxels(density, sigma_t=4.0):
-    return Medium(density, VOXEL, 0.0, sigma_t, origin=ORIGIN)
-
-
-@cache
-def cloud():
-    """Smooth, of 40 % void."""
-    x, y, z = np.meshgrid(*(np.arange(n) / n for n in SHAPE), indexing="ij")
-    waves = np.sin(7 * x + 4 * y) + np.sin(9 * y - 5 * z + 1) + np.sin(8 * z + 6 * x + 2)
-    return voxels(np.maximum(0, waves - np.quantile(waves, 0.4)))
-
-
-@cache
-def wild():
-    """From 1e-6 to 1e6; the densest voxel is 25 mean free paths wide."""
-    return voxels(10 ** np.random.default_rng(2).uniform(-6, 6, SHAPE), 1e-4)
-
-
-@cache
-def head():
-    from tests.setup import heads
-
-    try:
-        values = heads.ch2better()
-    except SystemExit as reason:
-        pytest.skip(f"The head cannot be fetched: {reason}")
-    return voxels(heads.resampled(values, (30, 37, 32)), 1.0)
-
-
-def noise(resolution, parameters, depth):
-    """Noise in a cube of 4 m; `depth` is that of an edge at density 1."""
-    return PerlinMedium(resolution, 4.0, 0.0, depth / 4, origin=ORIGIN, **parameters)
-
-
-def random_rays(medium, count, seed=0):
-    """From in and around the medium, everywhere."""
-    rng = np.random.default_rng(seed)
-    extent = np.multiply(medium.shape, medium.voxel_size)
-    origins = rng.uniform(-0.3, 1.3, (count, 3)) * extent + medium.origin
-    target = rng.uniform(0, 1, (count, 3)) * extent + medium.origin
-    return origins, (target - origins) * rng.uniform(0.01, 100, (count, 1))
-
-
-def prepare(medium, sampler, interpolation="constant", size=4, found=None, **options):
-    """A FreePathSampler; super-voxels of `size` that divides no edge, where it has any."""
-    supervoxel = size if sampler.startswith("supervoxel") else None
-    return FreePathSampler(
-        *(medium, sampler, found),
-        interpolation=interpolation,
-        supervoxel=supervoxel,
-        **options,
-    )
-
-
-def lowered(prepared, factor=0.9):
-    """The same sampler with bounds that are too low."""
-    grid = prepared.grid
-    majorants = grid.majorants
-    if majorants:
-        majorants = replace(majorants, values=majorants.values * np.float32(factor))
-    largest = grid.global_majorant * factor
-    other = copy(prepared)
-    other.grid = replace(grid, majorants=majorants, global_majorant=largest)
-    other.paths = backend_of(prepared.device).paths(other.grid)
-    return other
-
-
-# Five laws along a line.
-
-LENGTH = 2.0  # m
-CELLS = 250
-
-# Name: (integral of sigma from 0 to x, probability to get to LENGTH without a collision).
-LAWS = {
-    "ramp": (lambda x: x**2 / 2, 0.135335),
-    "rising": (lambda x: (exp(2 * x) - 1) / 20, 0.0686),
-    "falling": (lambda x: (1 - exp(-3 * x)) / 3, 0.7171),
-    "peak": (lambda x: (erf((x - 1) / 0.05) + erf(20)) * 0.05 / sqrt(2), 0.931731),
-    "hill": (lambda x: (erf(x - 1) + erf(1)) / sqrt(2), 0.303686),
-}
-
-
-@cache
-def line(name):
-    """The medium along x that has the law's depth at every face of a voxel."""
-    integral, _ = LAWS[name]
-    depth = np.array([integral(x) for x in np.linspace(0, LENGTH, CELLS + 1)])
-    density = np.tile(np.diff(depth)[:, None, None] * CELLS / LENGTH, (1, 2, 3))
-    return Medium(density, LENGTH / CELLS, 0.0, 1.0)
-
-
-def depth_along_line(medium, interpolation, distances):
-    """(n,) optical depth from x = 0 to `distances` m; beyond the medium as far as it goes."""
-    place = np.clip(distances / medium.voxel_size, 0, CELLS)
-    values = medium.density[:, 0, 0].astype(float)
-    if interpolation == "constant":
-        depth = np.interp(place, np.arange(CELLS + 1), [0, *np.cumsum(values)])
-    else:
-        nodes = np.pad(values, 1, mode="edge")  # half a voxel before the medium is the first
-        whole = np.array([0, *np.cumsum((nodes[1:] + nodes[:-1]) / 2)])
-        cell = np.minimum(np.floor(place + 0.5).astype(int), CELLS)
-        share = place + 0.5 - cell
-        slope = (nodes[1:] - nodes[:-1])[cell]
-        depth = whole[cell] + share * (nodes[cell] + share * slope / 2) - nodes[0] / 2
-    return depth * medium.voxel_size
-
-
-def law_of_line(prepared, interpolation, count, seed):
-    """The p-values of `law` for rays along x, and how many paths found their bound violated."""
-    medium = prepared.grid.medium
-    rng = np.random.default_rng(seed)
-    rays = np.zeros((6, count), np.float32)
-    rays[1:3] = rng.random((2, count)) * [[2], [3]]
-    rays[:3] += prepared.grid.fine.lower
-    rays[3] = 1
-    per_depth = prepared.grid.per_depth(0)
-    numbers = np.arange(count)
-    lengths, _, violations = prepared.paths.free_paths(rays, numbers, per_depth, seed, 10**6)
-    depths = depth_along_line(medium, interpolation, lengths * medium.voxel_size)
-    depths[np.isinf(lengths)] = np.inf
-    whole = depth_along_line(medium, interpolation, np.full(count, LENGTH))
-    return law(depths, whole), violations
-
-
-def test_media_have_the_laws_that_are_known():
-    for name, (_, escape) in LAWS.items():
-        for interpolation in INTERPOLATIONS:
-            depth = depth_along_line(line(name), interpolation, np.array([LENGTH]))
-            assert np.exp(-depth) == pytest.approx(escape, abs=1e-4)
-
-
-def test_the_optical_depths_agree():
-    """That of any ray, and that of the line."""
-    distances = np.random.default_rng(0).uniform(0, 1.2 * LENGTH, 200)
-    origins = np.tile([0, 0.5 * LENGTH / CELLS, 1.2 * LENGTH / CELLS], (200, 1))
-    along = np.tile([3.0, 0, 0], (200, 1))
-    for name, interpolation in product(LAWS, INTERPOLATIONS):
-        general = optical_depth(line(name), interpolation, origins, along, distances)
-        assert np.allclose(general, depth_along_line(line(name), interpolation, distances))
-
-
-def test_samplers_draw_the_laws():
-    """120 p-values in one: five laws, four samplers, two interpolations, three tests each."""
-    p_values = {}
-    for n, case in enumerate(product(LAWS, SAMPLERS, INTERPOLATIONS)):
-        name, sampler, interpolation = case
-        prepared = prepare(line(name), sampler, interpolation, size=12)
-        p_values[case], violations = law_of_line(prepared, interpolation, 30_000, seed=n)
-        assert violations == 0
-    assert sidak([*p_values.values()]) > FALSE_ALARM, p_values
-
-
-@pytest.mark.parametrize("sampler", VIRTUAL)
-@each_interpolation
-def test_a_bound_that_is_too_low_is_seen(sampler, interpolation):
-    """In the law, and by the samplers themselves, on every device."""
-    p_values, violations = [], 0
-    for n, name in enumerate(LAWS):
-        prepared = lowered(prepare(line(name), sampler, interpolation, size=12))
-        p, violated = law_of_line(prepared, interpolation, 60_000, seed=n)
-        p_values += p
-        violations += violated
-    assert sidak(p_values) < FALSE_ALARM
-    assert violations > 0
-    for found in FOUND:
-        prepared = lowered(prepare(cloud(), sampler, interpolation, found=found))
-        with pytest.raises(SolverError, match="over its upper bound"):
-            prepared.sample(*random_rays(cloud(), 10_000))
-
-
-@pytest.mark.parametrize("sampler", VIRTUAL)
-@pytest.mark.parametrize("found", FOUND, ids=lambda found: found.platform.split(",")[0])
-def test_a_bound_of_noise_that_is_too_low_is_seen(sampler, found):
-    medium = noise(32, WEAK, 20.0)
-    rays = random_rays(medium, 5_000)
-    prepared = prepare(medium, sampler, found=found)
-    prepared.sample(*rays)
-    with pytest.raises(SolverError, match="over its upper bound"):
-        lowered(prepared, 0.5).sample(*rays)
-
-
-def same(first, second, tolerance=1e-4):
-    """The share of distances that differ by less than `tolerance` m, or are both infinite."""
-    with np.errstate(invalid="ignore"):
-        return np.mean((first == second) | (np.abs(first - second) < tolerance))
+from lb_lighting.transport.photons.perlin import WEAK
+from tests.transport.photons.laws import (
+    FOUND,
+    ORIGIN,
+    SHAPE,
+    VIRTUAL,
+    VOXEL,
+    cloud,
+    density_at,
+    each_interpolation,
+    each_sampler,
+    noise,
+    prepare,
+    random_rays,
+    same,
+    voxels,
+)
 
 
 @each_interpolation
@@ -330,53 +60,6 @@ def test_one_super_voxel_a_voxel_is_ray_marching(sampler, interpolation, found):
     # Not all: a linear bound has a margin for rounding, which tells where there is next to nothing.
     assert same(march, prepare(cloud(), sampler, interpolation, 1, found).sample(*rays)) > 0.99
     assert same(march, prepare(cloud(), sampler, interpolation, 2, found).sample(*rays)) < 0.9
-
-
-@each_interpolation
-def test_homogeneous_media_have_the_exponential_law(interpolation):
-    """In each band, whose sigma_t differ, of a grid of one density."""
-    sigma_t, density, count = (0.5, 3.0), 0.7, 20_000
-    medium = Medium(np.full(SHAPE, density), VOXEL, 0.0, sigma_t, origin=ORIGIN)
-    rng = np.random.default_rng(3)
-    origins = rng.uniform(0, 1, (count, 3)) * (0, *medium.shape[1:]) * VOXEL + ORIGIN
-    p_values = []
-    for sampler, band in product(SAMPLERS, range(2)):
-        prepared = prepare(medium, sampler, interpolation, band=band)
-        distances = prepared.sample(origins, np.tile([2.0, 0, 0], (count, 1)), seed=len(p_values))
-        scale = sigma_t[band] * density
-        p_values += law(distances * scale, np.full(count, SHAPE[0] * VOXEL * scale))
-    assert sidak(p_values) > FALSE_ALARM
-
-
-@pytest.mark.parametrize("medium", [cloud, wild, head])
-def test_samplers_agree(medium):
-    """With the law along each ray and with each other; super-voxels of the size that is chosen."""
-    medium = medium()
-    p_values = []
-    for interpolation in INTERPOLATIONS:
-        drawn = []
-        for sampler in SAMPLERS:
-            prepared = prepare(medium, sampler, interpolation, size=None)
-            rays = random_rays(medium, 2000)
-            p_values += law_of_rays(prepared, interpolation, *rays, seed=len(p_values))
-            rays = random_rays(medium, 20_000, seed=1)
-            drawn.append(prepared.sample(*rays, seed=len(p_values)))
-        p_values += [alike(drawn[0], other) for other in drawn[1:]]
-    assert sidak(p_values) > FALSE_ALARM, p_values
-
-
-def test_samplers_agree_in_noise():
-    """With the law, and in fine and inhomogeneous noise with each other."""
-    p_values = []
-    weak, strong = noise(32, WEAK, 4.0), noise(256, STRONG, 700.0)
-    drawn = []
-    for sampler in SAMPLERS:
-        prepared = prepare(weak, sampler)
-        p_values += law_of_rays(prepared, "constant", *random_rays(weak, 2000), len(p_values))
-        prepared = prepare(strong, sampler, size=None)
-        drawn.append(prepared.sample(*random_rays(strong, 8000, seed=1), seed=len(p_values)))
-    p_values += [alike(drawn[0], other) for other in drawn[1:]]
-    assert sidak(p_values) > FALSE_ALARM, p_values
 
 
 @each_sampler

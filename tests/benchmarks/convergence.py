@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random media, thin to 1e4 mean free paths a voxel: does the lattice settle, and how soon?
+"""Convergence of the lattice in random media, from thin to 1e4 mean free paths per voxel.
 
-    python -m tests.benchmarks.settling [MEDIA]
+    python -m tests.benchmarks.convergence [MEDIA]
 
-solves each (200) by steps alone and with coarser lattices, to an error of 1 %, and prints what it
-truly is, against light stepped and corrected until it hardly changes, and the work. A correction
-counts as so many steps as it takes as long as at 128^3 voxels (`speed`, part "corrections").
+solves each of 200 media to an error of 1 %, by steps alone and with coarser lattices. It prints the
+true error, relative to light that was stepped and corrected until it hardly changes, and the work.
+A correction counts as the steps that take the same time at 128^3 voxels (`speed`, part
+"corrections").
 """
 
 import sys
@@ -21,8 +22,8 @@ from tests.benchmarks.shapes import SHAPES
 from tests.benchmarks.table import publish
 
 MEDIA, TOLERANCE, MOST_STEPS = 200, 1e-2, 20_000
-WORK = 24  # steps that a correction takes as long as
-_SETTLED, _MOST_LOOKS, _MOST_BETWEEN = 3e-7, 60, 512
+WORK = 24  # steps that take as long as a correction
+_CONVERGED, _MOST_CHECKS, _MOST_BETWEEN = 3e-7, 60, 512
 ALBEDOS, COSINES = (0.5, 0.9, 0.99, 0.999, 1 - 1e-5, 1.0), (0, 0.5, 0.85, -0.5)
 
 
@@ -37,7 +38,7 @@ def medium(seed):
     depth = SHAPES[rng.integers(len(SHAPES))](shape, rng)
     if not depth.any():
         depth[0, 0, 0] = 1
-    most = 10 ** rng.uniform(-2, 4)  # of a voxel, or through the domain
+    most = 10 ** rng.uniform(-2, 4)  # optical depth of a voxel, or through the domain
     if rng.random() < 0.5:
         depth *= most / depth.max()
     else:
@@ -73,20 +74,20 @@ def started(kind, found, optics):
     return level
 
 
-def settled(found, optics):
-    """(the fluence that a medium tends to, its last relative change)."""
+def converged(found, optics):
+    """(converged fluence, its last relative change)."""
     level, best, light = started(Level, found, optics), (np.inf, None), 0.0
     between = 32
-    for look in range(_MOST_LOOKS):
+    for check in range(_MOST_CHECKS):
         level.lattice.advance(between // 2)
         level.correct()
         level.lattice.advance(between // 2)
         before, light = light, level.lattice.fluence().astype(float)
         change = difference(before, light)
-        best = min(best, (change, light), key=lambda found: found[0])
-        if change < _SETTLED:
+        best = min(best, (change, light), key=lambda pair: pair[0])
+        if change < _CONVERGED:
             break
-        if look > 8 and change > 1e-3:  # corrections do not help here
+        if check > 8 and change > 1e-3:  # corrections do not help here
             between = min(2 * between, _MOST_BETWEEN)
     return best[1], best[0]
 
@@ -98,9 +99,9 @@ def difference(light, expected):
 def rows(found, media):
     for seed in range(media):
         optics = medium(seed)
-        light, unsettled = settled(found, optics)
-        row = {"medium": seed, "voxels": optics[0].size, "unsettled": unsettled}
-        for name, kind in (("alone", ByStepsAlone), ("helped", Level)):
+        light, residual = converged(found, optics)
+        row = {"medium": seed, "voxels": optics[0].size, "residual": residual}
+        for name, kind in (("alone", ByStepsAlone), ("multigrid", Level)):
             level = started(kind, found, optics)
             error, steps, corrections = converge(level, TOLERANCE, MOST_STEPS, lambda _error: None)
             true = difference(level.lattice.fluence().astype(float), light)
@@ -110,30 +111,30 @@ def rows(found, media):
 
 
 def summary(rows):
-    """By how many steps it takes without help."""
+    """Rows by the number of steps without coarser lattices."""
     for low, high in ((0, 64), (64, 256), (256, 1024), (1024, MOST_STEPS)):
-        some = [row for row in rows if low <= row["alone, work"] < high]
-        ratios = np.array([row["helped, work"] / row["alone, work"] for row in some])
-        wrong = [row for row in some if row["helped, error"] > 2 * TOLERANCE]
+        in_range = [row for row in rows if low <= row["alone, work"] < high]
+        ratios = np.array([row["multigrid, work"] / row["alone, work"] for row in in_range])
+        wrong = [row for row in in_range if row["multigrid, error"] > 2 * TOLERANCE]
         yield {
             "steps alone": f"{low} to {high}",
-            "media": len(some),
+            "media": len(in_range),
             "least work": ratios.min(),
             "mean": ratios.mean(),
             "most": ratios.max(),
             "above 1.2": int(np.sum(ratios > 1.2)),
             "error above 2 %": len(wrong),
-            "the same alone": sum(row["alone, error"] > 2 * TOLERANCE for row in some),
+            "the same, alone": sum(row["alone, error"] > 2 * TOLERANCE for row in in_range),
         }
 
 
 def main(media=MEDIA):
     found = device.choose()
-    found_rows = list(rows(found, int(media)))
-    publish("settling-media", found.label, found_rows)
-    publish("settling", found.label, list(summary(found_rows)))
-    left = [row["medium"] for row in found_rows if row["alone, work"] >= MOST_STEPS]
-    print(f"not settled within {MOST_STEPS} steps alone: {left}")
+    all_rows = list(rows(found, int(media)))
+    publish("convergence-media", found.label, all_rows)
+    publish("convergence", found.label, list(summary(all_rows)))
+    slow = [row["medium"] for row in all_rows if row["alone, work"] >= MOST_STEPS]
+    print(f"not converged within {MOST_STEPS} steps alone: {slow}")
 
 
 if __name__ == "__main__":

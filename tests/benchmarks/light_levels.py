@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How bright a small cloud is as baked, over Cycles' own picture, by kind of light.
+"""Brightness of a small cloud as baked, relative to Cycles' own picture, by kind of light.
 
-    python -m tests.benchmarks.levels
+    python -m tests.benchmarks.light_levels
 
-renders the scenes of tests/output/test_light_levels.py in finer voxels and with more samples than
-the tests take; columns are means over the picture, over those of Cycles, in each band.
+renders the scenes of tests/output/test_light_levels.py with finer voxels and more samples than the
+tests do. Columns are means over the picture, relative to Cycles, in each band.
 """
 
 from pathlib import Path
@@ -22,24 +22,28 @@ from tests.benchmarks.table import publish  # noqa: E402
 from tests.output import test_light_levels as scenes  # noqa: E402
 
 VOXELS, FIRE_VOXELS, SAMPLES = 24, 16, 256
-INSIDE = (16, 24, 32)  # voxels, of a point inside
+INSIDE = (16, 24, 32)  # voxels, for a point inside
 
 
 def lit(name, light, folder, mode="REPLACE", margin=4, add=scenes.add_cloud, **medium):
-    """The row of a light, which is a function that adds it to the scene; add makes the volume."""
+    """The row of one light.
+
+    light  function that adds it to the scene
+    add    function that adds the volume
+    """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scenes.look()
     light()
     folder = fresh(folder)
     volume = add(folder, **medium)
-    expected, found, _ = scenes.pictures(folder, volume, mode, samples=SAMPLES, margin=margin)
-    ratios = found.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
+    expected, ours, _ = scenes.pictures(folder, volume, mode, samples=SAMPLES, margin=margin)
+    ratios = ours.mean(axis=(0, 1)) / expected.mean(axis=(0, 1))
     row = dict(zip(("red", "green", "blue"), map(float, ratios), strict=True))
     return {"light": name, "voxels": scenes.EDGE, "mode": mode} | row
 
 
 def fresh(folder):
-    """A new folder: Blender never reads a path again."""
+    """A new folder, as Blender reads a path only once."""
     return Path(mkdtemp(dir=folder))
 
 
@@ -51,7 +55,7 @@ def lamp(kind, place, **settings):
 
 
 def none():
-    """A fire shines by itself."""
+    """No light: a fire emits its own."""
 
 
 def rows(folder):
@@ -72,7 +76,7 @@ def rows(folder):
 
 
 def inside(folder):
-    """A point's light that has scattered once, over its integral, which is no picture of Cycles."""
+    """Single scattering of a point's light, relative to its integral instead of Cycles."""
     for scenes.EDGE in INSIDE:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         ratio = float(np.mean(scenes.point_inside(fresh(folder))))
@@ -82,8 +86,8 @@ def inside(folder):
 def main():
     lb_lighting.register()
     with TemporaryDirectory() as folder:
-        found = [*rows(Path(folder)), *inside(Path(folder))]
-    publish("levels", device.choose().label, found)
+        all_rows = [*rows(Path(folder)), *inside(Path(folder))]
+    publish("light_levels", device.choose().label, all_rows)
     leave(0)
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How tight upper bounds in super-voxels are: mean(bound) / mean(density), and seconds to build.
+"""Tightness of majorants in super-voxels, mean(majorant) / mean(density), and seconds to build.
 
-Two heads, constant in their voxels. Beside the two bounds that the samplers use stand two that
-are simpler than ours: a trilinear function between the maxima around each corner, and the
-least-squares fit lifted to where it is nowhere below the density.
+The media are two heads with a constant density in each voxel. The two majorants of the samplers are
+compared with two simpler ones: a trilinear function between the maxima around each corner, and the
+least-squares fit plus an offset that lifts it above the density everywhere.
 """
 
 from time import perf_counter
@@ -17,11 +17,11 @@ from tests.benchmarks.table import publish
 from tests.setup import heads
 
 SIZES = (4, 8, 16, 32)
-BUILT_OF = (512, 512, 512)  # voxels of the volume whose seconds are told
+BUILT_OF = (512, 512, 512)  # voxels of the volume that is timed
 
 
 def whole(density, size):
-    """The part that holds whole super-voxels only, for the bounds that are made by hand here."""
+    """The part of the density that consists of whole super-voxels, for the simple majorants."""
     return density[tuple(slice(n // size * size) for n in density.shape)]
 
 
@@ -38,7 +38,7 @@ def corner_maxima(density, size):
 
 
 def least_squares(density, size):
-    """Mean of the least-squares fit plus the most that it misses, by super-voxel."""
+    """Mean of the least-squares fit plus its largest error, by super-voxel."""
     node = np.arange(size + 1) / size
     x, y, z = (t.ravel() for t in np.meshgrid(node, node, node, indexing="ij"))
     terms = np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, x * y * z], axis=1)
@@ -91,7 +91,7 @@ def main():
     for line in rows[: len(SIZES)]:
         for kind, build in (("constant", constant_majorants), ("linear", linear_majorants)):
             line[f"512^3 {kind}, s"] = seconds(build, large, line["size"])
-    publish("bounds", found.label, rows)
+    publish("majorants", found.label, rows)
 
 
 if __name__ == "__main__":

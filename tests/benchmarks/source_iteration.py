@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Error of light before and after source iteration, by the number of iterations, and their cost.
 
-    python -m tests.benchmarks.gathering
+    python -m tests.benchmarks.source_iteration
 
 Errors are relative (L2), of all light where there is matter, against the stored references of the
 media in which speed and accuracy are traded; seconds are over those of the solve.
@@ -50,4 +50,4 @@ def row(case, wanted):
 if __name__ == "__main__":
     known = References("trade")
     cases = [case for case in trade_cases() if case.medium.g[0] >= MIN_ANISOTROPY]
-    publish("gathering", device.choose().label, [row(case, known[case]) for case in cases])
+    publish("source_iteration", device.choose().label, [row(case, known[case]) for case in cases])
