@@ -8,6 +8,7 @@ Both save the lit scene. On failure they print one sentence and exit with code 1
 """
 
 import argparse
+import logging
 import os
 import sys
 from collections.abc import Sequence as List
@@ -22,6 +23,7 @@ from .options import OPTIONS, OVERWRITE, Option, Options
 from .output.volume import require_writable
 from .saving import save
 from .sequence import Sequence
+from .worker import LOG_LEVEL
 
 
 def main(arguments: List[str], opens_file: bool) -> int:
@@ -31,6 +33,9 @@ def main(arguments: List[str], opens_file: bool) -> int:
                 opened it already
     """
     parsed = _parser(opens_file).parse_args(arguments)
+    if parsed.verbose:
+        os.environ[LOG_LEVEL] = "INFO"
+        logging.basicConfig(level=logging.INFO)
     try:
         parsed.run(parsed)
     except LightingError as error:
@@ -51,6 +56,9 @@ def leave(code: int | str | None) -> None:
 
 def _parser(opens_file: bool) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("lb_lighting", description="Lattice-Boltzmann lighting")
+    parser.add_argument(
+        "--verbose", action="store_true", help="log the solver's process, and keep its log file"
+    )
     commands = parser.add_subparsers(required=True, metavar="command")
     # Describe bake.
     baking = commands.add_parser("bake", help="light objects and save the scene")
@@ -96,7 +104,7 @@ def _bake(parsed: argparse.Namespace) -> None:
     # Set up the scene.
     _open(parsed)
     target = _target(parsed)
-    scene = bpy.context.scene
+    scene = bake.scene_of(bpy.context)
     if bpy.context.mode != "OBJECT":  # the mode in which the file was saved
         bpy.ops.object.mode_set(mode="OBJECT")
     if parsed.frame is not None:
@@ -105,10 +113,11 @@ def _bake(parsed: argparse.Namespace) -> None:
     changes = {option.name: getattr(parsed, option.name) for option in OPTIONS}
     objects, options = _objects(scene, parsed.objects), Options.of(scene, **changes)
     if parsed.frames is None:
-        baking = bake.Baking(bpy.context, objects, options)
+        work: bake.Work[bake.Outcome | bake.Kept] = bake.Baking(bpy.context, objects, options)
     else:
-        baking = Sequence(bpy.context, objects, options, *parsed.frames, parsed.overwrite)
-    outcome = bake.run(baking, bpy.context, _Progress())
+        first, last = parsed.frames
+        work = Sequence(bpy.context, objects, options, first, last, parsed.overwrite)
+    outcome = bake.run(work, bpy.context, _Progress())
     for note in outcome.notes:
         print(note)
     # Save the scene.

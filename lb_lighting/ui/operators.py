@@ -4,7 +4,7 @@
 import bpy
 from bpy.props import BoolProperty
 
-from .. import bake
+from .. import bake, clearing
 from ..errors import LightingError
 from ..output import shading_volumes
 from ..scene.reader import CUSTOM
@@ -104,7 +104,7 @@ class _Works:
             self.report({"WARNING"}, note)
         self.report({"INFO"}, outcome.summary)
         running.plan = outcome.plan or running.plan
-        running.finish([*outcome.facts, *outcome.notes])
+        running.finish([*outcome.report_lines, *outcome.notes])
         return {"FINISHED"}
 
 
@@ -199,7 +199,7 @@ class LB_OT_clear(bpy.types.Operator):  # noqa: N801 - Blender's convention
     )
 
     def execute(self, context):
-        cleared = bake.clear(context)
+        cleared = clearing.clear(context)
         if not cleared.count:
             self.report({"INFO"}, "Nothing to clear: this scene has no LB light")
             return {"CANCELLED"}

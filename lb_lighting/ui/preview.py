@@ -53,7 +53,7 @@ ends with any change"""
         options = bake.Options.of(context.scene)
         try:
             objects = bake.sources_of(context.scene, context.selected_objects)
-            task = Preview(bake.gather(context, objects, options), _view(context), self.noise)
+            task = Preview(bake.read_scene(context, objects, options), _view(context), self.noise)
             start(Job(task))
         except LightingError as error:
             self.report({"ERROR"}, str(error))
@@ -139,7 +139,7 @@ def look():
     global _survey, _failed
     if _job is None:
         return None
-    if _job.task.light.options != bake.Options.of(bpy.context.scene):
+    if _job.task.bake.options != bake.Options.of(bpy.context.scene):
         stop()
         return None
     try:
