@@ -66,5 +66,6 @@ def require_whole(
     error: type[LightingError] = SettingsError,
 ) -> None:
     """Refuse a number that is not whole, or out of range, with an `error`."""
-    if not isinstance(value, Integral) or not lowest <= value <= highest:
+    is_whole = isinstance(value, Integral)
+    if not is_whole or not lowest <= value <= highest:
         raise error(f"The {what} must be a whole number from {lowest} to {highest}; it is {value}.")

@@ -150,6 +150,11 @@ ROLES = (
 )
 
 
+def properties_of(owner: Any) -> Any:
+    """The properties that ui/properties.py adds to a scene or an object."""
+    return owner.lb_lighting
+
+
 @dataclass(frozen=True)
 class Options:
     """The options of a bake. Raises SettingsError for a value that is unknown or out of range."""
@@ -354,7 +359,7 @@ class Options:
     @classmethod
     def of(cls, scene: bpy.types.Scene, **changes: Any) -> Options:
         """The options of a scene, with those `changes` that are not None."""
-        properties: Any = scene.lb_lighting  # type: ignore[attr-defined] # ui/properties.py adds it
+        properties = properties_of(scene)
         values = {option.name: getattr(properties, option.name) for option in OPTIONS}
         for option in OPTIONS:
             if isinstance(option.default, tuple):

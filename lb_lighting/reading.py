@@ -21,6 +21,7 @@ from .scene.lights.receivers import Receivers
 from .scene.opening import open_sources
 from .scene.reader import Reader
 from .scene.sources import Source
+from .scene.surface_sources import FoliageSource
 from .scene.surroundings import tell_surroundings
 from .tasks.bake import BakeTask
 from .tasks.result import SequenceChoices
@@ -188,7 +189,8 @@ def _takes_sky(
     if not showing:
         return False
     materials = [slot.material for ob in showing.values() for slot in ob.material_slots]
-    names = {name for source in showing if source.is_foliage for name in source.instanced}
+    foliage = [source for source in showing if isinstance(source, FoliageSource)]
+    names = {name for source in foliage for name in source.instanced}
     materials += [bpy.data.materials.get(name) for name in names if name]
     hindrance = shading_surfaces.hindrance(materials)
     has_lamp = not all(isinstance(light, Sky) for light in lights)

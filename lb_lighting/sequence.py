@@ -64,8 +64,8 @@ class Sequence:
         sources = sources_of(scene, objects)
         self.options, self.scene = options, scene.session_uid
         self.objects = [ob.session_uid for ob in sources]
-        folder = None if overwrite else volume.frames_folder(scene, sources)
-        folder = folder if folder and folder.is_dir() else None
+        shown: Path | None = None if overwrite else volume.frames_folder(scene, sources)
+        folder: Any = shown if shown and shown.is_dir() else None  # None only until `_begin`
         self.frames = volume.Frames(folder, first, last)
         self.is_unused = False  # whether the folder is new, and nothing shows it yet
         self.unchecked = [n for n in self.frames if folder and self.frames.path(n).exists()]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Showing the light of a bake in the scene."""
 
-from typing import Any
-
 import bpy
 
 from .clearing import release
@@ -10,6 +8,7 @@ from .output import attribute, modifier, shading_surfaces, shading_volumes, volu
 from .output.ambient import STAND_OFF
 from .output.look import Look
 from .reading import Objects, scene_of
+from .scene.surface_sources import FoliageSource
 from .tasks.bake import BakeTask
 from .tasks.result import BakeResult
 
@@ -47,9 +46,8 @@ def apply(
         stand_off = STAND_OFF * result.domain.voxel_size if source.is_wall else 0.0
         modifier.add_modifier(ob, shown, task.all_light, source.is_body, stand_off)
         shading_surfaces.light_surface(ob, *arguments)
-        if source.is_foliage:
-            names: list[Any] = source.instanced
-            materials = [name and bpy.data.materials.get(name) for name in names]
+        if isinstance(source, FoliageSource):
+            materials = [name and bpy.data.materials.get(name) for name in source.instanced]
             result.notes.extend(shading_surfaces.light_instances(ob, materials, *arguments))
     return shown
 

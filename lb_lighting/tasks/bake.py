@@ -166,11 +166,10 @@ class BakeTask(SceneTask):
         if not report.device.startswith("NumPy"):
             notes.extend(troubles)
         elif troubles:
-            notes.append(" ".join([*troubles, "NumPy did the work instead, which is slower."]))
+            notes.append(" ".join([*troubles, "Solved with NumPy instead, which is slower."]))
         else:
             notes.append(
-                "NumPy did the work; an OpenCL driver for your processor or graphics card is "
-                "faster."
+                "Solved with NumPy; an OpenCL driver for your processor or graphics card is faster."
             )
 
     def iterations(self, problem: Problem, settings: Settings) -> int:

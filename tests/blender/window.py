@@ -140,7 +140,7 @@ def until(condition):
 def progress():
     """What changes while a bake or a preview is under way."""
     works = [work for work in (running.baking, preview._job) if work is not None]
-    told = running.told[0], running.last, preview._survey is None
+    told = running.shown[0], running.last, preview._survey is None
     return *told, *((work.status, worked(work._process.pid)) for work in works)
 
 
@@ -437,7 +437,7 @@ def in_edit_mode_at_the_end():
     start()
     with overridden():
         bpy.ops.object.mode_set(mode="EDIT")
-    yield from until(lambda: running.told[0] == "Waiting for Edit Mode to end")
+    yield from until(lambda: running.shown[0] == "Waiting for Edit Mode to end")
     assert "lb_ambient" not in leaf.data.attributes
     with overridden():
         bpy.ops.object.mode_set(mode="OBJECT")

@@ -220,7 +220,7 @@ class TestCancel:
         before = snapshot()
         running.start(work(bpy.context, [fog], Options.of(scene)))
         for operator in (bpy.ops.lb_lighting.bake, bpy.ops.lb_lighting.preview):
-            with pytest.raises(RuntimeError, match="A bake or an estimate is under way; cancel"):
+            with pytest.raises(RuntimeError, match="A bake or an estimate is running; cancel"):
                 operator()
         assert bpy.ops.lb_lighting.cancel() == {"FINISHED"}
         name = {bake.Baking: "bake", bake.Estimating: "estimate"}[work]

@@ -38,7 +38,7 @@ def begun(fog, noise=False):
 def test_a_picture_and_a_survey_come_one_after_the_other(fog, noise):
     before = snapshot()
     job = begun(fog, noise)
-    picture = preview._load(task.PICTURE)
+    picture = preview._load(job, task.PICTURE)
     assert picture.shape[2] == 4
     assert picture[..., 3].max() > 0
     while preview._survey is None:
