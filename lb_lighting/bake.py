@@ -184,7 +184,7 @@ class Baking(Job):
 
     def must_wait(self, context: bpy.types.Context) -> str | None:
         """Why the scene cannot take the light at the moment, or None."""
-        return why_wait(context, self.found())
+        return why_wait(context, find_objects(self.objects))
 
     def apply(self, context: bpy.types.Context, looks: Looks | None = None) -> Outcome:
         """Write the light into the scene: an `Outcome`. Raises a LightingError for a scene that
@@ -206,10 +206,6 @@ class Baking(Job):
             self.cancel()
             raise
         return Outcome(result, Path(self.task.path), result.notes, self)
-
-    def found(self) -> Objects:
-        """The objects as they are now, without those that are gone."""
-        return find_objects(self.objects)
 
 
 class Estimating(Job):

@@ -302,7 +302,7 @@ class Sequence:
                 if number not in result.readers
             )
         remarks.extend(
-            f"Keyframes show '{ob.name}' again beside its light; remove those of its visibility."
+            f"The keys of '{ob.name}' show it again beside its light; remove its visibility keys."
             for ob in objects
             if is_overridden(ob, "hide_render") and are_keyed(ob, "hide_viewport", "hide_render")
         )
