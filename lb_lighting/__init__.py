@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""LB Lighting: dense media lit by a lattice-Boltzmann solver.
+"""LB Lighting: lights dense media with a lattice-Boltzmann solver.
 
 `lb_lighting.transport` is the physics and needs no Blender; registration imports the rest.
 """
 
+from typing import Any
 
-def _modules():
+
+def _modules() -> tuple[Any, ...]:
     from . import cli
     from .ui import (
         handlers,
@@ -21,11 +23,11 @@ def _modules():
     return (properties, preferences, running, handlers, operators, presets, panels, preview, cli)
 
 
-def register():
+def register() -> None:
     for module in _modules():
         module.register()
 
 
-def unregister():
+def unregister() -> None:
     for module in reversed(_modules()):
         module.unregister()

@@ -7,12 +7,13 @@ import bpy
 
 bpy.utils.expose_bundled_modules()
 
-from . import register  # noqa: E402 - OpenVDB has to be exposed first
+from . import register  # noqa: E402 - needs the exposed OpenVDB
 from .cli import leave, main  # noqa: E402
 
 register()
+code: int | str | None
 try:
     code = main(sys.argv[1:], opens_file=True)
-except SystemExit as end:  # argparse: help, or arguments that it cannot read
+except SystemExit as end:  # argparse: help, or wrong arguments
     code = end.code
 leave(code)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What can go wrong, each said in one sentence that tells the user what to do.
+"""The errors, each with a sentence that tells the user what to do.
 
-Every error that a user can meet derives from `LightingError`: operators and the
-command line print its text and stop; anything else is a defect and is left to
-show its traceback.
+Every error that a user can meet derives from `LightingError`. Operators and the command line print
+its text and stop. Any other exception is a defect and shows its traceback.
 """
 
+from collections.abc import Collection
 from numbers import Integral
+from typing import Any
 
 
 class LightingError(Exception):
@@ -14,11 +15,11 @@ class LightingError(Exception):
 
 
 class MediumError(LightingError):
-    """A medium that no solver can take: NaN, negative density, |g| >= 1, an empty grid."""
+    """A medium that cannot be solved: NaN, negative density, |g| >= 1, an empty grid."""
 
 
 class LightError(LightingError):
-    """No light, or a light that the chosen model cannot carry."""
+    """No light, or a light that the chosen model does not support."""
 
 
 class SettingsError(LightingError):
@@ -30,7 +31,7 @@ class DeviceError(LightingError):
 
 
 class SceneError(LightingError):
-    """The scene lacks what was asked of it: no selection, no faces, no such grid or file."""
+    """The scene lacks something: no selection, no faces, no such grid or file."""
 
 
 class EmptyError(SceneError):
@@ -49,15 +50,22 @@ class Cancelled(LightingError):  # noqa: N818 - the public name
     """The user stopped the work; nothing was changed."""
 
 
-def require_known(value, known, what):
-    """Refuse a choice that is not among the `known` ones, with a SettingsError that lists them."""
+def require_known(value: str, known: Collection[str], what: str) -> None:
+    """Refuse a value that is not one of the `known`, with a SettingsError that lists them."""
     if value not in known:
         raise SettingsError(
             f"There is no {what} called '{value}'; choose one of: {', '.join(known)}."
         )
 
 
-def require_whole(value, what, lowest, highest, error=SettingsError):
-    """Refuse a number that is not whole, or out of its range, with an `error`."""
-    if not isinstance(value, Integral) or not lowest <= value <= highest:
+def require_whole(
+    value: Any,
+    what: str,
+    lowest: int,
+    highest: int,
+    error: type[LightingError] = SettingsError,
+) -> None:
+    """Refuse a number that is not whole, or out of range, with an `error`."""
+    is_whole = isinstance(value, Integral)
+    if not is_whole or not lowest <= value <= highest:
         raise error(f"The {what} must be a whole number from {lowest} to {highest}; it is {value}.")

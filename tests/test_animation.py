@@ -29,7 +29,7 @@ def key(owner, path, **values):
 
 
 def gathered(*objects, frame):
-    return bake.gather(bpy.context, objects, Options.of(bpy.context.scene), frame=frame)
+    return bake.read_scene(bpy.context, objects, Options.of(bpy.context.scene), frame=frame)
 
 
 def by_keys(ob):
@@ -112,7 +112,7 @@ def test_a_single_bake_again_lights_the_source_where_it_is_now(scene, tmp_path):
     scenery.bake_light(fog)
     scene.frame_set(3)
     outcome = scenery.bake_light(fog)
-    assert np.mean([outcome.lit.domain.origin, outcome.lit.domain.upper], axis=0)[0] == (
+    assert np.mean([outcome.result.domain.origin, outcome.result.domain.upper], axis=0)[0] == (
         pytest.approx(4, abs=0.01)
     )
 

@@ -108,7 +108,7 @@ class TestVolume:
     def test_the_residual_is_told_while_it_is_solved(self, scene, tmp_path):
         ob, told = scenery.add_fog(tmp_path), []
         ob.data.materials[0] = scenery.volume_material(60.0, (0.99, 0.99, 0.99))
-        task = bake.gather(bpy.context, [ob], bake.Options.of(scene))
+        task = bake.read_scene(bpy.context, [ob], bake.Options.of(scene))
         lit = task.run(lambda **said: told.append(said["stage"]), tmp_path)
         assert told[:2] == ["Filling voxels", "Solving"]
         residuals = [stage[len("Solving (residual ") : -2] for stage in told if "residual" in stage]
@@ -121,7 +121,7 @@ class TestVolume:
         assert outcome.plan.settings.scattering == "single"
         assert not outcome.field.fluence.any()
         assert read_metadata(outcome.path)["expected_error"] == pytest.approx(outcome.plan.error)
-        assert any("No lattice" in line for line in outcome.facts)
+        assert any("No lattice" in line for line in outcome.report_lines)
 
     def test_what_a_quality_plans_is_left_alone_by_hand(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path), scattering="single")
@@ -151,7 +151,7 @@ class TestVolume:
         inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
         inputs["Anisotropy"].default_value = 0.85
         outcome, stages = bake_light(ob), []
-        assert any("was gathered" in line for line in outcome.facts)
+        assert any("was gathered" in line for line in outcome.report_lines)
         moments = {f"lb_moment_{n}" for n in range(1, 9)}
         names = {grid.name for grid in openvdb.readAllGridMetadata(str(outcome.path))}
         assert names == {"density", "lb_light", "lb_direct_1", "lb_forward_1", *moments}
@@ -165,7 +165,7 @@ class TestVolume:
         left = bake_light(ob, gather=False)
         names = {grid.name for grid in openvdb.readAllGridMetadata(str(left.path))}
         assert not names & moments
-        assert not any("was gathered" in line for line in left.facts)
+        assert not any("was gathered" in line for line in left.report_lines)
         bake_light(ob, quality="preview", progress=progress)
         assert stages == sorted(stages, key=lambda told: told[0])
         assert "Gathering" in {stage for _, stage in stages}
@@ -219,7 +219,7 @@ class TestVolume:
         inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
         inputs["Emission Strength"].default_value = 3
         assert (
-            "The paper's model leaves out the light of fire." in bake_light(ob, model="paper").notes
+            "The paper model leaves out the light of fire." in bake_light(ob, model="paper").notes
         )
 
     def test_coefficients_per_unit_of_object_space(self, scene, tmp_path):
@@ -321,7 +321,7 @@ class TestSky:
             np.tile(2 * np.array(self.RADIANCE), (9, 1)), rel=0.05
         )
         assert not any("sky" in note for note in outcome.notes)
-        assert any("sky" in fact for fact in outcome.facts)
+        assert any("sky" in fact for fact in outcome.report_lines)
         assert np.array_equal(outcome.field.fluence, scattered.fluence)
 
     def test_both_ways_of_foliage_get_the_same(self, leaves, tmp_path):
@@ -372,8 +372,8 @@ class TestSky:
             group = nodes.new("ShaderNodeGroup")
             group.node_tree = tree
             links.new(group.outputs[0], nodes["Material Output"].inputs["Surface"])
-        task = bake.gather(bpy.context, objects, bake.Options.of(bpy.context.scene, sky=True))
-        assert not task.whole
+        task = bake.read_scene(bpy.context, objects, bake.Options.of(bpy.context.scene, sky=True))
+        assert not task.all_light
         assert sum("sky" in note for note in task.reader.notes) == 1
 
 
@@ -474,7 +474,7 @@ class TestMeanwhile:
         ob.name, ob.location = "other", (5, 0, 0)
         outcome = self.finish(baking)
         assert ob.hide_render
-        assert np.mean([outcome.lit.domain.origin, outcome.lit.domain.upper]) < 1
+        assert np.mean([outcome.result.domain.origin, outcome.result.domain.upper]) < 1
         bpy.context.view_layer.update()
         assert baked().matrix_world.translation[:] == pytest.approx((5, 0, 0), abs=1e-5)
 
@@ -750,7 +750,7 @@ BAD_SOURCES = {
     ),
     "unknown medium": (fog, {"medium": "milk"}, SettingsError, "There is no medium called 'milk'"),
     "unknown mode": (fog, {"mode": "MULTIPLY"}, SettingsError, "There is no mode called"),
-    "unknown domain": (fog, {"domain": "box"}, SettingsError, "There is no object 'box' to light"),
+    "unknown domain": (fog, {"domain": "box"}, SettingsError, "There is no object 'box' to use"),
     "no padding": (fog, {"padding": 0}, SettingsError, "The padding must be 1 voxel or more"),
     "no depth": (fog, {"optical_depth": 0}, SettingsError, "The optical depth must be positive"),
 }

@@ -230,7 +230,7 @@ class TestBadInput:
     def test_a_scene_without_a_file_needs_an_output(self, scene, tmp_path, capsys):
         scenery.add_fog(tmp_path)
         assert cli.main(["bake", "--objects", "fog"], opens_file=False) == 1
-        assert "say where to save it with --output." in capsys.readouterr().err
+        assert "choose one with --output." in capsys.readouterr().err
         assert not list(tmp_path.glob("fog_lb_*.vdb"))
 
     def test_unknown_arguments(self, capsys):

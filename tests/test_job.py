@@ -109,7 +109,7 @@ def test_too_little_memory_is_one_sentence():
 
 
 def test_a_full_disk_is_one_sentence():
-    sentence = r"^The temporary folder .* cannot take the result \(No space left\); free some"
+    sentence = r"^The result does not fit into the temporary folder .* \(No space left\); free some"
     with pytest.raises(OutputError, match=sentence):
         Job(Fail(OSError(28, "No space left"))).wait()
 
@@ -119,7 +119,7 @@ def test_a_scene_that_cannot_be_written_down_is_one_sentence(processes, monkeypa
         raise OSError(28, "No space left")
 
     monkeypatch.setattr(exchange, "save", save)
-    sentence = r"^The temporary folder .* cannot take the scene \(No space left\); free some"
+    sentence = r"^The scene does not fit into the temporary folder .* \(No space left\); free some"
     with pytest.raises(OutputError, match=sentence):
         Job(Idle()).wait()
     assert processes[0].poll() is not None
@@ -177,7 +177,7 @@ def test_a_process_that_works_in_silence_is_heard():
 
 
 def test_a_defect_in_it_is_one_sentence_with_its_last_words():
-    with pytest.raises(SolverError, match=r"ended with code 1; .* Its last words: ValueError: no"):
+    with pytest.raises(SolverError, match=r"ended with code 1; .* Its last line: ValueError: no"):
         Job(Fail(ValueError("no"))).wait()
 
 
@@ -186,8 +186,8 @@ def test_a_defect_leaves_its_traceback_in_a_log():
     with pytest.raises(SolverError) as caught:
         Job(ReadAndFail()).wait()
     sentence = str(caught.value)
-    assert "This is a defect of LB Lighting; please report it. All that it said is in " in sentence
-    last = r" Its last words: ZeroDivisionError: division by zero \(run, line \d+ of jobs\.py\)$"
+    assert "This is a bug in LB Lighting; please report it. Its output is in " in sentence
+    last = r" Its last line: ZeroDivisionError: division by zero \(run, line \d+ of jobs\.py\)$"
     assert re.search(last, sentence)
     log = job.Path(re.search(r"is in (\S+\.log)\.", sentence)[1])
     written = log.read_text()
@@ -220,7 +220,7 @@ def test_nothing_set_for_another_python_matters(monkeypatch):
 def test_a_python_that_does_not_run_is_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     sentence = (
-        r"does not start: /nowhere/python cannot be run \(No such file or directory\); install"
+        r"does not start: /nowhere/python cannot be run \(No such file or directory\); reinstall"
     )
     with pytest.raises(SolverError, match=sentence):
         Job(Idle())
@@ -314,3 +314,12 @@ def test_a_driver_may_print():
     running = Job(Chatter())
     assert running.wait() == 42
     assert running.said == {"stage": "talk", "fraction": 1.0}
+
+
+def test_the_log_is_kept_if_it_is_asked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("LB_LIGHTING_LOG", "info")
+    Job(Chatter()).wait()
+    (log,) = tmp_path.glob("*.log")
+    text = log.read_text()
+    assert "INFO lb_lighting.worker: Chatter begins" in text
+    assert "INFO lb_lighting.worker: Chatter ends after" in text

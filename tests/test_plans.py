@@ -12,11 +12,11 @@ from tests import scenery
 
 
 def task(folder, quality, anisotropy=0.0):
-    """The `Light` of a fog in the sun."""
+    """The `BakeTask` of a fog in the sun."""
     ob = scenery.add_fog(folder)
     volume = ob.active_material.node_tree.nodes["Principled Volume"]
     volume.inputs["Anisotropy"].default_value = anisotropy
-    return bake.gather(bpy.context, [ob], bake.Options.of(bpy.context.scene, quality=quality))
+    return bake.read_scene(bpy.context, [ob], bake.Options.of(bpy.context.scene, quality=quality))
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_drafts_gather_as_often_as_there_is_time_for(
 ):
     monkeypatch.setattr(source_iteration, "seconds", lambda *_arguments: seconds)
     light = task(tmp_path, quality, anisotropy=0.85)
-    assert light.gathers(light.problem(), Settings()) == times
+    assert light.iterations(light.problem(), Settings()) == times
     notes = [note for note in light.reader.notes if "gathered" in note]
     assert [f"gathered {times} of 4 times" in note for note in notes] == [True] * (times < 4)
 
@@ -57,7 +57,7 @@ def test_small_plants_are_not_told_absurd_errors(leaves, scene, tmp_path):
     """Of all light that they show; scattered light alone is a few per cent of it."""
     ob = scenery.add_leaves(count=leaves)
     options = bake.Options.of(bpy.context.scene, quality="draft", resolution=24)
-    light = bake.gather(bpy.context, [ob], options)
+    light = bake.read_scene(bpy.context, [ob], options)
     settings, planned = light._settings(light.problem(), lambda **_told: None)
     assert planned.meets_target
     assert settings.photons is None

@@ -162,7 +162,8 @@ def test_a_frame_tells_what_it_was_made_of(scene, fog, change):
 
 
 def cache_keys(ob, **changes):
-    return bake.gather(bpy.context, [ob], Options.of(bpy.context.scene, **changes)).cache_keys()
+    options = Options.of(bpy.context.scene, **changes)
+    return bake.read_scene(bpy.context, [ob], options).cache_keys()
 
 
 @pytest.mark.parametrize("how", ["ATTRIBUTE", "MODIFIER"])
@@ -317,7 +318,7 @@ def test_a_file_without_its_end_is_not_whole(scene, fog):
 def test_scraps_of_one_bake_are_not_those_of_another(scene, fog):
     bake_frames(fog, last=1)
     path = frames()[1]
-    task = bake.gather(bpy.context, [fog], Options.of(scene), path, frame=1)
+    task = bake.read_scene(bpy.context, [fog], Options.of(scene), path, frame=1)
     other = unfinished(path, "another")
     for name in (other, unfinished(path, task.token)):
         name.write_bytes(b"begun")

@@ -1,33 +1,42 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finding out what lighting a scene will take, before it is done."""
+"""Estimating the cost of a bake before it is done."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from ..transport.device import troubles
 from ..transport.medium import deepest
 from ..transport.ordinates import source_iteration
 from ..transport.planning.planner import Plan
-from .light import Light
+from .bake import BakeTask
+from .problem import Problem
 
-TRIED = 8  # steps of the paper's model, which takes a number of them that is known
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from . import Send
+
+TRIAL = 8  # steps of the paper model that are timed; the number that a bake takes is known
 
 
 @dataclass
 class Expected:
-    """What a bake will take, what it will be worth, and what the medium is like.
+    """The expected cost and error of a bake, and what its medium is like.
 
     shape          voxels
     voxel_size     m
     bytes          of memory
     device         its label
-    seconds        about, of the solver
-    plan           the `Plan`; None by the paper's model, which has no error to plan for
+    seconds        of the solver, approximately
+    plan           the `Plan`, or None for the paper model, which has no error to plan for
     voxel_depth    optical depth of the densest voxel's edge
     domain_depth   the largest optical depth of a line through the domain along an axis
-    notes          sentences that the user should read
+    notes          sentences for the user
     """
 
-    shape: tuple
+    shape: tuple[int, int, int]
     voxel_size: float
     bytes: int
     device: str
@@ -35,71 +44,74 @@ class Expected:
     plan: Plan | None
     voxel_depth: float
     domain_depth: float
-    notes: list
+    notes: list[str]
 
     @property
-    def summary(self):
-        """The most of it in one line."""
-        error = f", {self.plan.error:.1%} off" if self.plan else ""
+    def summary(self) -> str:
+        """The main figures in one line."""
+        error = f", with an error of {self.plan.error:.1%}" if self.plan else ""
         return f"A bake takes about {duration(self.seconds)} on {self.device}{error}"
 
     @property
-    def facts(self):
-        """[line], for the panel."""
+    def report_lines(self) -> list[str]:
+        """The figures, for the panel."""
         shape = " x ".join(map(str, self.shape))
         return [
             f"{shape} voxels of {self.voxel_size:.3g} m, {self.bytes / 2**20:.0f} MiB",
             f"About {duration(self.seconds)} on {self.device}",
-            f"Optical depth: {self.voxel_depth:.2g} a voxel, {self.domain_depth:.3g} across",
+            f"Optical depth: {self.voxel_depth:.2g} per voxel, {self.domain_depth:.3g} across",
             *(self.plan.reasons if self.plan else []),
         ]
 
 
 @dataclass
 class Estimate:
-    """Find out what a `Light` will take, by filling its voxels and by a plan."""
+    """Estimate the cost of a bake: fill its voxels, and plan it."""
 
-    light: Light
+    bake: BakeTask
 
-    def run(self, tell, _folder):
+    def run(self, send: Send, _folder: Path) -> Expected:
         """An `Expected`."""
-        tell(stage="Filling voxels", fraction=0.0)
-        problem = self.light.problem()
-        tell(stage="Trying", fraction=0.5)
+        send(stage="Filling voxels", fraction=0.0)
+        problem = self.bake.problem()
+        send(stage="Trying", fraction=0.5)
         medium = problem.medium
         depth = medium.depth(medium.sigma_t.max())
-        found = self._paper(problem) if self.light.options.model == "paper" else self._plan(problem)
+        is_paper = self.bake.options.model == "paper"
+        costs = self._paper(problem) if is_paper else self._plan(problem)
         return Expected(
             medium.shape,
             medium.voxel_size,
-            *found,
+            *costs,
             float(depth.max()),
             deepest(depth),
-            [*self.light.reader.notes, *troubles],
+            [*self.bake.medium_choice.notes, *troubles],
         )
 
-    def _plan(self, problem):
-        options = self.light.options
+    def _plan(self, problem: Problem) -> tuple[int, str, float, Plan | None]:
+        """(bytes, device, seconds, plan) of the physical model."""
+        options = self.bake.options
         if options.is_planned:
-            plan = self.light.plan(problem, options.quality)
-        else:  # the target is of no importance: there is nothing to choose
-            plan = self.light.plan(problem, "final", options.by_hand)
+            plan = self.bake.plan(problem, options.quality)
+        else:  # all settings are fixed, so the target does not matter
+            plan = self.bake.plan(problem, "final", options.by_hand)
         seconds = plan.seconds
-        if times := self.light.gathers(problem, plan.settings):
+        if iterations := self.bake.iterations(problem, plan.settings):
             device = options.device or None
-            seconds += source_iteration.seconds(problem.medium, problem.lights, device, times)
+            seconds += source_iteration.seconds(problem.medium, problem.lights, device, iterations)
         return plan.bytes, plan.device, seconds, plan
 
-    def _paper(self, problem):
-        settings = replace(self.light.options.settings(), steps=TRIED)
-        report = self.light.solve(problem, settings).report
+    def _paper(self, problem: Problem) -> tuple[int, str, float, Plan | None]:
+        """(bytes, device, seconds, no plan) of the paper model, from a few steps."""
+        settings = replace(self.bake.options.settings(), steps=TRIAL)
+        report = self.bake.solve(problem, settings).report
         steps = report.seconds["solve"] / report.steps * 2 * max(problem.medium.shape)
         seconds = sum(report.seconds.values()) - report.seconds["solve"] + steps
         return report.bytes, report.device, seconds, None
 
 
-def duration(seconds):
-    """A time as people say it."""
+def duration(seconds: float) -> str:
+    """A time in s or min."""
     if seconds < 90:
         return f"{max(1, round(seconds))} s"
     return f"{round(seconds / 60)} min"

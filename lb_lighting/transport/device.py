@@ -7,7 +7,8 @@ pyopencl is imported on demand, so that this module also loads where it is not i
 import os
 import uuid
 import warnings
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,7 +21,8 @@ from . import caches
 WITHOUT_OPENCL = "LB_LIGHTING_WITHOUT_OPENCL"  # in the environment: a sentence that says why
 
 troubles = []  # sentences about devices that should be there but cannot be used
-loading = nullcontext  # what drivers are loaded in: they can end a process, or never return
+# What drivers are loaded in: they can end a process, or never return.
+loading: Callable[[], AbstractContextManager[None]] = nullcontext
 
 _SOURCES = Path(__file__).parent.parent / "kernels"
 _BEST_FIRST = ("GPU", "ACCELERATOR", "CPU")

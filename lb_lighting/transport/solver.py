@@ -12,7 +12,6 @@ from .paper import model as paper
 
 MODELS = {"physical": hybrid, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
-PRECISIONS = ("fp32",)
 SCATTERINGS = ("multiple", "single")
 _MOST_RAYS = 16  # times the usual number along an edge: 256 times as many
 
@@ -44,7 +43,6 @@ class Settings:
     most_steps        at which it stops without
     divide            the pieces that voxels are divided in along each edge; None for 1, or more
                       where voxels are so thick that it takes them
-    precision         of the light on the lattice: "fp32"
 
     Of the paper's:
     steps             lattice steps; None for the paper's, twice the longest edge
@@ -64,7 +62,6 @@ class Settings:
     tolerance: float = 1e-2
     most_steps: int = 20_000
     divide: int | None = None
-    precision: str = "fp32"
     steps: int | None = None
     keep_absorbed: bool = False
     kernel: str = "final"
@@ -73,7 +70,6 @@ class Settings:
         for value, known, what in (
             (self.model, tuple(MODELS), "model"),
             (self.scattering, SCATTERINGS, "scattering"),
-            (self.precision, PRECISIONS, "precision"),
             (self.kernel, KERNELS, "kernel"),
         ):
             require_known(value, known, what)

@@ -1,46 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is done whenever Blender changes, loads or saves a file; see `ties` and `saving`."""
+"""What happens when Blender changes, loads or saves a file; see `ties` and `saving`."""
+
+from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..output import saving, ties
 from . import running
 
 
-@persistent
-def _mend(*_arguments):
-    if not bpy.app.is_job_running("RENDER"):  # which reads the file in a thread of its own
+@running.persistent
+def _mend(*_arguments: Any) -> None:
+    if not bpy.app.is_job_running("RENDER"):  # the render reads the file in its own thread
         ties.mend()
 
 
-@persistent
-def _mend_after_update(_scene, depsgraph):
-    """Objects come and go in collections; what else changes, and often, breaks no tie."""
+@running.persistent
+def _mend_after_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """Only changes of collections, in which objects come and go, break ties."""
     if depsgraph.id_type_updated("COLLECTION"):
         _mend()
 
 
-@persistent
-def _mend_appended(context):
+@running.persistent
+def _mend_appended(context: Any) -> None:
     appended = {item.id for item in context.import_items if item.append_action != "LINK"}
     ties.mend_appended([ob for ob in bpy.data.objects if ob in appended])
 
 
-@persistent
-def _before_save(path, _none):
+@running.persistent
+def _before_save(path: str, _none: Any) -> None:
     _mend()
     for note in saving.before_save(path):
-        running.tell(note)
+        running.add_line(note)
 
 
-@persistent
-def _after_save(path, _none):
+@running.persistent
+def _after_save(path: str, _none: Any) -> None:
     saving.after_save(path)
 
 
-@persistent
-def _after_failed_save(_path, _none):
+@running.persistent
+def _after_failed_save(_path: str, _none: Any) -> None:
     saving.restore_paths()
 
 
@@ -56,11 +57,11 @@ _HANDLERS = {
 }
 
 
-def register():
+def register() -> None:
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
 
 
-def unregister():
+def unregister() -> None:
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(handler)

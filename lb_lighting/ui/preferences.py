@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on's preferences: what can solve on this machine."""
+"""The add-on's preferences: the devices of this machine."""
+
+from typing import Any
 
 import bpy
 
@@ -7,17 +9,17 @@ from .. import job
 from ..errors import LightingError
 
 PACKAGE = __package__.removesuffix(".lb_lighting.ui")  # the extension, or the plain package's ui
-_found = []  # lines, once they were asked for
-_troubles = []  # sentences about what cannot be used
+_found: list[str] = []  # lines, once the user asked for them
+_troubles: list[str] = []  # sentences about devices that cannot be used
 
 
 class LB_OT_find_devices(bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """List the devices that can solve, the best first"""
+    """List the devices that can compute light, the best first"""
 
     bl_idname = "lb_lighting.find_devices"
     bl_label = "Find Devices"
 
-    def execute(self, _context):
+    def execute(self, _context: Any) -> set[Any]:
         try:
             _found[:], _troubles[:] = job.find_devices()
         except LightingError as error:
@@ -32,7 +34,8 @@ class LB_OT_find_devices(bpy.types.Operator):  # noqa: N801 - Blender's conventi
 class LB_AP_preferences(bpy.types.AddonPreferences):  # noqa: N801 - Blender's convention
     bl_idname = PACKAGE
 
-    def draw(self, _context):
+    def draw(self, _context: Any) -> None:
+        assert self.layout is not None
         column = self.layout.column()
         column.operator(LB_OT_find_devices.bl_idname, icon="VIEWZOOM")
         for number, line in enumerate(_found):
@@ -41,18 +44,18 @@ class LB_AP_preferences(bpy.types.AddonPreferences):  # noqa: N801 - Blender's c
             column.label(text=trouble, icon="ERROR")
         if len(_found) == 1 and not _troubles:
             column.label(
-                text="Only NumPy is here: an OpenCL driver for your processor or graphics card "
-                "makes bakes many times faster.",
+                text="Only NumPy is available. An OpenCL driver for your processor or graphics "
+                "card makes bakes many times faster.",
                 icon="INFO",
             )
-        column.label(text="A scene's choice is in the 3D view's sidebar, tab LB, panel Solver.")
+        column.label(text="To choose the device, see the 3D view: sidebar, tab LB, panel Solver.")
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(LB_OT_find_devices)
     bpy.utils.register_class(LB_AP_preferences)
 
 
-def unregister():
+def unregister() -> None:
     bpy.utils.unregister_class(LB_AP_preferences)
     bpy.utils.unregister_class(LB_OT_find_devices)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Custom media in Blender's own preset system: ours are in `lb_lighting/presets`."""
+"""Custom media in Blender's preset system; `lb_lighting/presets` holds those that come with us."""
 
 from pathlib import Path
 
@@ -10,8 +10,10 @@ from bl_ui.utils import PresetPanel
 FOLDER = str(Path(__file__).parents[1])  # Blender looks for presets/lb_lighting in it
 
 
-class LB_OT_preset_add(AddPresetBase, bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """Keep the medium as a preset, or remove one"""
+class LB_OT_preset_add(  # type: ignore[misc]  # noqa: N801 - as in Blender, whose stubs disagree
+    AddPresetBase, bpy.types.Operator
+):
+    """Save the medium as a preset, or remove a preset"""
 
     bl_idname = "lb_lighting.preset_add"
     bl_label = "Add LB Preset"
@@ -31,13 +33,13 @@ class LB_PT_presets(PresetPanel, bpy.types.Panel):  # noqa: N801 - Blender's con
     preset_add_operator = LB_OT_preset_add.bl_idname
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(LB_OT_preset_add)
     bpy.utils.register_class(LB_PT_presets)
     bpy.utils.register_preset_path(FOLDER)
 
 
-def unregister():
+def unregister() -> None:
     bpy.utils.unregister_preset_path(FOLDER)
     bpy.utils.unregister_class(LB_PT_presets)
     bpy.utils.unregister_class(LB_OT_preset_add)

@@ -1,79 +1,95 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bake that is under way, and how the last one ended; nothing of it is in the .blend."""
+"""The bake under way, and how the last one ended; none of it is stored in the .blend."""
 
 import sys
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
-from ..tasks.estimate import duration
+from ..bake import Kept, Outcome, Work
+from ..tasks.estimate import Expected, duration
+from ..transport.planning.planner import Plan
 
-INTERVAL = 0.1  # s between looks at the solver
+INTERVAL = 0.1  # s between checks on the solver
 
-baking = None  # a `Baking`, a `Sequence` or an `Estimating`
-told = "", 0.0, None  # what to show of it: stage, fraction, seconds left
-last = ()  # lines about the one before
-failed = False  # whether those tell of an error
-plan = None  # the latest `Plan`
+baking: Work[Outcome | Kept | Expected] | None = None
+shown: tuple[str, float, float | None] = ("", 0.0, None)  # stage, fraction, seconds left
+last: tuple[str, ...] = ()  # lines about the previous one
+failed = False  # whether those are about an error
+plan: Plan | None = None  # the latest
 
 
-def start(work):
-    """`work` is under way."""
+def persistent[Handler: Callable[..., None]](handler: Handler) -> Handler:
+    """Keep a handler when Blender loads another file: its own decorator, with types."""
+    kept: Handler = bpy.app.handlers.persistent(handler)
+    return kept
+
+
+def selected(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected objects."""
+    return list(context.selected_objects or ())
+
+
+def start(work: Work[Outcome | Kept | Expected]) -> None:
+    """Note that `work` is under way."""
     global baking
     baking = work
     show()
 
 
-def stop(how):
-    """End what is under way, if anything is, at once; `how` it ended follows its name."""
+def stop(how: str) -> None:
+    """End the work under way, if any, at once; the message says `how` it ended."""
     if baking is not None:
         sentence = f"The {baking.name} {how}; {baking.kept}"
         baking.cancel()
         finish([sentence], error=True)
 
 
-def why_not(context):
-    """Why nothing can be begun with what is selected, or None."""
+def why_not(context: bpy.types.Context) -> str | None:
+    """Why no work can start with the selection, or None."""
     if baking is not None:
-        return "A bake or an estimate is under way; cancel it or wait for it"
-    if not context.selected_objects:
+        return "A bake or an estimate is running; cancel it or wait for it"
+    if not selected(context):
         return "Select a volume, a smoke domain or a mesh"
     return None
 
 
-def finish(lines, error=False):
-    """Nothing is under way any more; keep what there is to say about it."""
+def finish(lines: Iterable[str], error: bool = False) -> None:
+    """Note that nothing is under way any more, and keep the lines about it."""
     global baking, last, failed
     baking, last, failed = None, tuple(lines), error
     redraw()
 
 
-def tell(line):
-    """Say one thing more in the panel and on the console, whatever is under way."""
+def add_line(line: str) -> None:
+    """Add a line to the panel and print it on the console."""
     global last
     print(f"lb_lighting: {line}", file=sys.stderr)
     last = (*last, line)
     redraw()
 
 
-def show(waits=None):
-    """Show how far it is, or what it `waits` for."""
-    global told
+def show(waiting: str | None = None) -> None:
+    """Show the progress, or what the work is `waiting` for."""
+    global shown
+    assert baking is not None
     stage, fraction = baking.status
-    before, told = told, (waits or stage, fraction, baking.seconds_left)
-    if told != before:
+    before, shown = shown, (waiting or stage, fraction, baking.seconds_left)
+    if shown != before:
         redraw()
 
 
-def line():
-    """What it does and how long that takes yet, for a progress bar."""
-    stage, fraction, seconds = told
+def line() -> str:
+    """The stage, fraction and time left, for a progress bar."""
+    stage, fraction, seconds = shown
     left = "" if seconds is None else f", {duration(seconds)} left"
     return f"{stage}, {fraction:.0%}{left}"
 
 
-def redraw():
-    """Draw the sidebars and the status bar anew, and not the views, which may be slow."""
+def redraw() -> None:
+    """Redraw the sidebars and the status bar, but not the views, which may be slow."""
+    assert bpy.context.window_manager is not None
     for window in bpy.context.window_manager.windows:
         areas = [area for area in window.screen.areas if area.type == "VIEW_3D"]
         for region in (region for area in areas for region in area.regions):
@@ -82,25 +98,28 @@ def redraw():
         window.workspace.status_text_set_internal(None)
 
 
-def draw_status(header, _context):
-    """Our part of the status bar."""
+_status_bar: Any = bpy.types.STATUSBAR_HT_header  # the stubs lack the header's argument
+
+
+def draw_status(header: Any, _context: bpy.types.Context) -> None:
+    """Draw the progress in the status bar."""
     if baking is not None:
         row = header.layout.row()
         row.ui_units_x = 16
-        row.progress(factor=told[1], text=f"LB Lighting: {line()}")
+        row.progress(factor=shown[1], text=f"LB Lighting: {line()}")
 
 
 @persistent
-def _stop_for_another_file(*_arguments):
-    stop("was ended, because another file was opened")
+def _stop_for_another_file(*_arguments: Any) -> None:
+    stop("was ended because another file was opened")
 
 
-def register():
-    bpy.types.STATUSBAR_HT_header.append(draw_status)
+def register() -> None:
+    _status_bar.append(draw_status)
     bpy.app.handlers.load_pre.append(_stop_for_another_file)
 
 
-def unregister():
-    stop("was ended, because the extension was disabled")
+def unregister() -> None:
+    stop("was ended because the extension was disabled")
     bpy.app.handlers.load_pre.remove(_stop_for_another_file)
-    bpy.types.STATUSBAR_HT_header.remove(draw_status)
+    _status_bar.remove(draw_status)

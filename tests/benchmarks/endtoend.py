@@ -168,7 +168,7 @@ def solved(case, folder, handover):
     """(field, seconds) of the solve that `bake` does."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, handover=handover, **LATTICE)
-    problem = bake.gather(bpy.context, [source], options).problem()
+    problem = bake.read_scene(bpy.context, [source], options).problem()
     start = perf_counter()
     settings = replace(options.settings(), photons=PHOTONS)
     field = Job(Solve(problem.medium, problem.lights, settings)).wait()
@@ -179,7 +179,7 @@ def lit(case, folder, field, mode, samples):
     """(picture, seconds) of the scene with the field."""
     source = build(case, folder)
     options = bake.Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
-    task = bake.gather(bpy.context, [source], options)
+    task = bake.read_scene(bpy.context, [source], options)
     bake.apply(bpy.context, [source], task, task.keep(task.problem(), field))
     return picture(folder, samples)
 

@@ -134,7 +134,7 @@ def by_photons(objects, case):
     """
     with TemporaryDirectory() as folder:
         options = bake.Options(resolution=case.resolution, folder=folder)
-        task = bake.gather(bpy.context, objects, options)
+        task = bake.read_scene(bpy.context, objects, options)
         problem = task.problem()
         field = trace(problem.medium, problem.lights, PHOTONS)
         field.report = Report("photons", field.report.device)  # files cannot store its arrays

@@ -84,7 +84,7 @@ def held(make):
         "start, s": begun,
         "longest gap meanwhile, s": np.diff(ticks).max(),
         "end, s": ended,
-        "solver, s": sum(outcome.lit.report.seconds.values()),
+        "solver, s": sum(outcome.result.report.seconds.values()),
     }
 
 

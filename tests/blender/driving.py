@@ -124,7 +124,7 @@ def until(condition):
 def progress():
     """The state that changes while a bake or a preview runs."""
     works = [work for work in (running.baking, preview._job) if work is not None]
-    shown = running.told[0], running.last, preview._survey is None
+    shown = running.shown[0], running.last, preview._survey is None
     return *shown, *((work.status, worked(work._process.pid)) for work in works)
 
 

@@ -284,7 +284,7 @@ def in_edit_mode_at_the_end():
     start()
     with overridden():
         bpy.ops.object.mode_set(mode="EDIT")
-    yield from until(lambda: running.told[0] == "Waits for Edit Mode to end")
+    yield from until(lambda: running.shown[0] == "Waiting for Edit Mode to end")
     assert "lb_ambient" not in leaf.data.attributes
     with overridden():
         bpy.ops.object.mode_set(mode="OBJECT")

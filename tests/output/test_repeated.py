@@ -250,7 +250,7 @@ def test_a_note_names_some_of_many(scene):
     scene.lb_lighting.resolution = 8
     first = scenery.add_leaves("tree", count=20)
     trees = [first, *(scenery.link(f"tree {number}", first.data) for number in range(9))]
-    task = bake.gather(bpy.context, trees, bake.Options.of(scene))
+    task = bake.read_scene(bpy.context, trees, bake.Options.of(scene))
     (note,) = about(task.reader.notes, "tree")
     assert note.startswith("'tree', 'tree 0', 'tree 1', 'tree 2', 'tree 3' and 5 more: the mesh")
 
@@ -265,7 +265,7 @@ def test_what_others_instance_is_told_of(scene, selected):
     empty.instance_type, empty.instance_collection = "COLLECTION", crown
     empty.location.z = -30  # too far to affect the selection
     chosen = [ob, empty] if selected else [ob]
-    task = bake.gather(bpy.context, chosen, bake.Options.of(scene))
+    task = bake.read_scene(bpy.context, chosen, bake.Options.of(scene))
     (note,) = about(task.reader.notes, "copy")
     assert ("leaves" in note) is not selected
 

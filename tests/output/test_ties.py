@@ -213,8 +213,8 @@ class TestCopies:
         scene.lb_lighting.resolution = 8
         (copy,) = duplicate(baked)
         outcome = bake_light(copy)
-        assert outcome.lit.optics.sigma_s == pytest.approx(3.6)
-        assert outcome.lit.optics.sigma_a == pytest.approx(0.4)
+        assert outcome.result.optics.sigma_s == pytest.approx(3.6)
+        assert outcome.result.optics.sigma_a == pytest.approx(0.4)
         assert hidden(fog, baked, copy) == [True, False, True]
         assert copy[RESULT] not in (None, baked)
 

@@ -543,7 +543,6 @@ def test_a_suns_own_shadow_density_replaces_the_mediums():
         {"traced_collisions": 0},
         {"rays": 0.0},
         {"rays": 17.0},
-        {"precision": "fp8"},
     ],
     ids=str,
 )

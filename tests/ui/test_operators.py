@@ -80,8 +80,12 @@ class TestProperties:
             *PRESETS,
         ]
         assert choices(properties.SceneProperties, "model") == list(MODELS)
-        assert choices(properties.SceneProperties, "mode") == list(MODES)
-        assert choices(properties.SceneProperties, "foliage") == list(FOLIAGE)
+        assert choices(properties.SceneProperties, "mode") == [
+            choice.identifier for choice in MODES
+        ]
+        assert choices(properties.SceneProperties, "foliage") == [
+            choice.identifier for choice in FOLIAGE
+        ]
 
     def test_settings_are_saved_in_the_file(self, tmp_path):
         scene = bpy.context.scene
@@ -216,7 +220,7 @@ class TestCancel:
         before = snapshot()
         running.start(work(bpy.context, [fog], Options.of(scene)))
         for operator in (bpy.ops.lb_lighting.bake, bpy.ops.lb_lighting.preview):
-            with pytest.raises(RuntimeError, match="A bake or an estimate is under way; cancel"):
+            with pytest.raises(RuntimeError, match="A bake or an estimate is running; cancel"):
                 operator()
         assert bpy.ops.lb_lighting.cancel() == {"FINISHED"}
         name = {bake.Baking: "bake", bake.Estimating: "estimate"}[work]
@@ -273,7 +277,7 @@ class TestUse:
         assert bounces(chosen) == (2, 3, 5)
         assert chosen.cycles.volume_biased  # the bake's own
 
-    @pytest.mark.parametrize("foliage", FOLIAGE)
+    @pytest.mark.parametrize("foliage", [choice.identifier for choice in FOLIAGE])
     def test_of_leaves_there_and_back(self, chosen, foliage):
         bake_light(scenery.add_leaves(), foliage=foliage)
         before = snapshot()

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting.bake import Options, gather
+from lb_lighting.bake import Options, read_scene
 from lb_lighting.job import Job
 from lb_lighting.tasks import preview as task
 from lb_lighting.ui import preview
@@ -25,7 +25,9 @@ def fog(scene, tmp_path, monkeypatch):
 
 def begun(fog, noise=False):
     """A job under way that has shown a picture."""
-    job = Job(task.Preview(gather(bpy.context, [fog], Options.of(bpy.context.scene)), None, noise))
+    job = Job(
+        task.Preview(read_scene(bpy.context, [fog], Options.of(bpy.context.scene)), None, noise)
+    )
     preview.start(job)
     while task.PICTURE not in preview._icons:
         assert preview.look() is not None, preview._failed
@@ -36,7 +38,7 @@ def begun(fog, noise=False):
 def test_a_picture_and_a_survey_come_one_after_the_other(fog, noise):
     before = snapshot()
     job = begun(fog, noise)
-    picture = preview._load(task.PICTURE)
+    picture = preview._load(job, task.PICTURE)
     assert picture.shape[2] == 4
     assert picture[..., 3].max() > 0
     while preview._survey is None:
@@ -71,7 +73,7 @@ def test_any_change_ends_it(fog, scene, change):
 
 def test_what_cannot_be_looked_at_is_one_sentence(fog, scene):
     scene.lb_lighting.device = "abacus"
-    preview.start(Job(task.Preview(gather(bpy.context, [fog], Options.of(scene)), None)))
+    preview.start(Job(task.Preview(read_scene(bpy.context, [fog], Options.of(scene)), None)))
     while preview.look() is not None:
         pass
     assert preview._failed.startswith("There is no device called 'abacus'; choose one of: ")

@@ -347,5 +347,5 @@ class TestStrays:
 
     def test_a_bake_lights_the_puff(self, scene, tmp_path):
         outcome = bake_light(self.add(tmp_path, 1e-6))
-        assert outcome.lit.domain.voxel_size <= 24 / 4 * 2 / 24
+        assert outcome.result.domain.voxel_size <= 24 / 4 * 2 / 24
         assert any(STRAY in note for note in outcome.notes)
