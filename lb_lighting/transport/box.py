@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 # Voxels around matter that still tell of it: in the next ones light meets what is opaque, or comes
-# back where a medium ends; in those behind them lies what `borders.mirrors` takes the mean of.
+# back where a medium ends; in those behind them lies what `boundary_reflection` takes the mean of.
 _MARGIN = 2
 
 

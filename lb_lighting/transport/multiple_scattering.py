@@ -3,12 +3,13 @@
 
 import numpy as np
 
+from ..arrays import Floats
 from ..errors import LightError
 from .backend import backend_of
 from .band_light import BandLight
 from .collision_source import CollisionSource
 from .context import Context
-from .lattice.convergence import settle
+from .lattice.convergence import converge
 from .lattice.multigrid import Level
 from .lattice.streaming import stream_on
 from .medium import Medium
@@ -35,7 +36,7 @@ def scatter(
     lattice = level.lattice
     lattice.start(source.scaled(transport_depth, scale))
     settings = context.settings
-    lit.residual, lit.steps, lit.corrections = settle(
+    lit.residual, lit.steps, lit.corrections = converge(
         level,
         settings.tolerance,
         settings.most_steps,
@@ -58,12 +59,14 @@ def scatter(
     lit.energy["absorbed"] += watts * (absorbed + stopped)
 
 
-def _level(medium, band, source, depth, context) -> Level:
+def _level(
+    medium: Medium, band: int, source: CollisionSource, depth: Floats, context: Context
+) -> Level:
     """The finest level of a lattice for a band, in the box of a source."""
-    opaque = map(source.box.of, (medium.occlusion, medium.occlusion_albedo[band]))
+    occlusion, albedo = map(source.box.of, (medium.occlusion, medium.occlusion_albedo[band]))
     make = backend_of(context.device).lattice
-    edge = max(medium.shape)
-    return Level(make, depth, medium.albedo[band], medium.g[band], *opaque, edge)
+    optics = medium.albedo[band], medium.g[band]
+    return Level(make, depth, *optics, occlusion, albedo, max(medium.shape))
 
 
 def _report_error(error: float, tolerance: float, context: Context) -> None:

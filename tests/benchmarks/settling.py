@@ -14,7 +14,7 @@ import numpy as np
 
 from lb_lighting.transport import device
 from lb_lighting.transport.backend import backend_of
-from lb_lighting.transport.lattice.convergence import settle
+from lb_lighting.transport.lattice.convergence import converge
 from lb_lighting.transport.lattice.lattice_numpy import Source
 from lb_lighting.transport.lattice.multigrid import Level
 from tests.benchmarks.shapes import SHAPES
@@ -102,7 +102,7 @@ def rows(found, media):
         row = {"medium": seed, "voxels": optics[0].size, "unsettled": unsettled}
         for name, kind in (("alone", ByStepsAlone), ("helped", Level)):
             level = started(kind, found, optics)
-            error, steps, corrections = settle(level, TOLERANCE, MOST_STEPS, lambda _error: None)
+            error, steps, corrections = converge(level, TOLERANCE, MOST_STEPS, lambda _error: None)
             true = difference(level.lattice.fluence().astype(float), light)
             row |= {f"{name}, estimate": error, f"{name}, error": true}
             row |= {f"{name}, work": steps + (WORK - 2) * corrections}

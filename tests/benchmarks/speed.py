@@ -28,7 +28,7 @@ import pyopencl as cl
 from lb_lighting.transport import Settings, Sky, Sun, device, solve
 from lb_lighting.transport.backend import backend_of
 from lb_lighting.transport.box import Box
-from lb_lighting.transport.lattice.convergence import _Look
+from lb_lighting.transport.lattice.convergence import ConvergenceMonitor
 from lb_lighting.transport.lattice.lattice_numpy import Source
 from lb_lighting.transport.lattice.lattice_opencl import OpenclLattice, _state_size, _stride
 from lb_lighting.transport.lattice.layout import GROUP, Cells
@@ -187,7 +187,7 @@ def correction(found, edge):
     """{what: seconds}."""
     level = our_level(found, (edge,) * 3)
     lattice = level.lattice
-    look, count = _Look(lattice), STEPS["ours"]
+    look, count = ConvergenceMonitor(lattice), STEPS["ours"]
     level.correct()
     return {
         "step": fastest(lambda: stepped(lattice, count)) / count,

@@ -8,7 +8,7 @@
 // in both, a cell writes to the places that it alone has read.
 //
 // Built with the numbers of the twin W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
-// CROWDED, and with GROUP.
+// DIAGONAL_BLOCKING, and with GROUP.
 
 // Depths of voxels' edges; below zero outside of the domain, -1 - the share that comes back over
 // the most that may, REFLECTED.
@@ -157,7 +157,7 @@ STEP_KERNEL step_there(GRID, MEDIUM, SOURCE, __global float *light)
 
 // Of light that has just left empty cells in the five directions of a face. at  The cells;
 // faces  0 to 5 for -x, +x, -y, +y, -z, +z; shares  of it that go back.
-__kernel void mirror(GRID, __global float *light, const int swapped, __global const int *at,
+__kernel void reflect_boundary(GRID, __global float *light, const int swapped, __global const int *at,
                      __global const int *faces, __global const float *shares)
 {
     const size_t n = get_global_id(0), cell = at[n];
@@ -182,7 +182,7 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
 #define BESIDE(OF, to, cx, cy, cz)                                                         \
     (IS_DIAGONAL(cx, cy, cz)                                                               \
          ? MEAN_BESIDE(OF, to, cx, cy, cz) *                                               \
-               (1.0f + CROWDED * (1.0f - MEAN_BESIDE(OPAQUE, to, cx, cy, cz)))             \
+               (1.0f + DIAGONAL_BLOCKING * (1.0f - MEAN_BESIDE(OPAQUE, to, cx, cy, cz)))             \
          : 0.0f)
 #define PAST(to, cx, cy, cz) (1.0f - BESIDE(OPAQUE, to, cx, cy, cz))
 #define SHARE_OF(OF, to, cx, cy, cz)                                                       \

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Between a lattice and a coarser one, of half its resolution: `hand_down` and `take_up` of the twin,
+// Between a lattice and a coarser one, of half its resolution: `restrict` and `prolongate` of the twin,
 // transport/lattice/lattice_numpy.py. Built behind lattice/layout.cl and lattice/lattice.cl.
 //
 // Either way goes in two kernels, along z and across it, so that loads lie side by side; and by some
@@ -48,7 +48,7 @@
 
 // Of the four: the even parts under m and the odd ones under back, then the power, and its moments
 // along x and y from their middle. origin  of the fine lattice
-__kernel void sum_across(GRID, __global const float *light, const int swapped,
+__kernel void restrict_across(GRID, __global const float *light, const int swapped,
                          __global const float *depths, const ulong origin, const float first,
                          const ulong begin, __global float *parts)
 {
@@ -78,7 +78,7 @@ __kernel void sum_across(GRID, __global const float *light, const int swapped,
     }
 
 // given  what the coarser lattice, whose grid this is, is given: as its light
-__kernel void hand_down(GRID, __global const float *depths, const ulong origin, const float first,
+__kernel void restrict_along(GRID, __global const float *depths, const ulong origin, const float first,
                         const ulong begin, const ulong nz, __global const float *parts,
                         const float factor, __global float *given)
 {
@@ -118,7 +118,7 @@ static size_t clamped(const long place, const ulong count)
 
 // The light of the voxels (nx, ny, nz) of the coarser lattice, whose grid this is, between them
 // along z: even parts under m, odd ones under back. From one plane before `begin`.
-__kernel void interpolate(GRID, __global const float *light, const int swapped, const ulong origin,
+__kernel void prolongate_along(GRID, __global const float *light, const int swapped, const ulong origin,
                           const ulong begin, const ulong nx, const ulong nz, __global float *parts)
 {
     PLACE;
@@ -145,7 +145,7 @@ __kernel void interpolate(GRID, __global const float *light, const int swapped, 
 
 // Adds a factor times that between them along x and y, too. Odd parts by the flow of the voxel that
 // each lies in: next to it there may be far thinner ones. layers  of parts
-__kernel void take_up(GRID, __global float *light, const int swapped, __global const float *depths,
+__kernel void prolongate_across(GRID, __global float *light, const int swapped, __global const float *depths,
                       const ulong origin, const float first, const ulong begin,
                       __global const float *depths_2, const ulong plane_2, const ulong row_2,
                       const ulong origin_2, const ulong ny_2, const ulong layers,

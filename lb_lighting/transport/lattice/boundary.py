@@ -31,7 +31,7 @@ def returned(depth, albedo, g, edge=None):
         return REFLECTED / (1 + 1 / (edge * depth * (1 - albedo * g)))
 
 
-def mirrors(depth, albedo, g, occlusion, cells, edge=None):
+def boundary_reflection(depth, albedo, g, occlusion, cells, edge=None):
     """Where light that leaves comes back: (outside, {face: (cells, shares)}).
 
     edge is that of `NumpyLattice`.

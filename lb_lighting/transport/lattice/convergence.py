@@ -1,123 +1,148 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long a lattice is stepped, and when coarser ones are asked for help.
+"""When the lattice has converged, and when coarser lattices should correct it.
 
-Nobody knows the light that a lattice tends to, so the error is estimated from how fast changes
-shrink: by a factor q from one look to the next, so that all that are still to come add up to
-q / (1 - q) of the last. Corrections take away what would shrink slowly, and leave changes that tell
-nothing of it; what they leave is estimated in the same way, from one correction to the next.
+The converged light is unknown, so the error is estimated from how fast changes shrink: by a factor
+q from one check to the next, so that all later changes together are q / (1 - q) of the last one.
+Corrections by coarser lattices remove the part of the error that shrinks slowly. The changes after
+them do not show what is left of that part, so it is estimated likewise, from the sizes of
+successive corrections.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-_LOOK_EVERY = 8  # steps between two looks
-_LAYERS, _FEW = 16, 48  # that are looked at, but all where there are few: a look costs half a step
-_RATES = 3  # rates of shrinking that are kept: the slowest counts
-_NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
-_FAR = 60  # steps still to come from which on a correction, which costs some 24, is worth it
-_LEFT = 0.3  # of what a correction took away, at least: taken to be left; of the first one, twice
-_USELESS = 0.6  # corrections that shrink no faster than this are not worth it
+from ...arrays import Floats
+from ..backend import Lattice
+from .multigrid import Level
+
+_STEPS_PER_CHECK = 8
+# Layers that a check compares, and the number of layers up to which it compares all: a check takes
+# half the time of a step.
+_LAYERS, _FEW = 16, 48
+_RATES = 3  # latest rates that are kept: the slowest counts
+_NO_DECAY = 1 - 1e-6  # changes that shrink no faster than this do not shrink
+_FAR = 60  # remaining steps above which a correction, which takes the time of 24, pays off
+_REMAINDER = 0.3  # smallest share of a correction assumed to be still missing
+_FIRST_REMAINDER = 0.5  # the same of the first one
+_USELESS = 0.6  # corrections that shrink no faster than this do not pay off
 
 
 @dataclass
-class _Look:
-    """What the looks at a lattice tell."""
+class ConvergenceMonitor:
+    """Measures how fast the light of a lattice converges."""
 
-    lattice: object
-    light: object = 0.0
-    changes: list = field(default_factory=list)  # relative ones, since the last correction
+    lattice: Lattice
+    light: Floats | float = 0.0
+    changes: list[float] = field(default_factory=list)  # relative, since the last correction
 
-    def change(self):
-        """The relative change of the fluence since the last look."""
+    def change(self) -> float:
+        """The relative change of the fluence since the last check."""
         layers = self.lattice.shape[0]
         every = 1 if layers < _FEW else layers // _LAYERS
         before, self.light = self.light, self.lattice.fluence(every)
         norm = float(np.linalg.norm(self.light))
         return float(np.linalg.norm(self.light - before)) / (norm or 1.0)
 
-    def start_again(self):
-        """The same, of light that something else than steps has changed."""
+    def restart(self) -> float:
+        """The relative change since the last check, when it was not made by steps alone."""
         self.changes.clear()
         return self.change()
 
     @property
-    def rates(self):
+    def rates(self) -> list[float]:
+        """The latest ratios of a change to the one before it."""
         pairs = zip(self.changes, self.changes[1:], strict=False)
-        return [min(change / last if last else 0.0, _NEVER) for last, change in pairs][-_RATES:]
+        ratios = [min(change / last if last else 0.0, _NO_DECAY) for last, change in pairs]
+        return ratios[-_RATES:]
 
-    def still_to_come(self, tolerance):
-        """(relative change still to come by steps alone, steps until it is within a tolerance)."""
-        rate = max(self.rates, default=_NEVER)
-        left = min(1.0, self.changes[-1] * rate / (1 - rate))
-        if left <= tolerance:
-            return left, 0.0
-        return left, _LOOK_EVERY * np.log(left / tolerance) / -np.log(rate)
+    def remaining(self, tolerance: float) -> tuple[float, float]:
+        """(relative change that further steps alone would make, steps until it is within a
+        tolerance)."""
+        rate = max(self.rates, default=_NO_DECAY)
+        error = min(1.0, self.changes[-1] * rate / (1 - rate))
+        if error <= tolerance:
+            return error, 0.0
+        return error, _STEPS_PER_CHECK * np.log(error / tolerance) / -np.log(rate)
 
 
 @dataclass
-class _Help:
-    """What corrections are worth."""
+class CorrectionPolicy:
+    """Decides whether corrections pay off.
 
-    wanted: bool
+    enabled  whether to correct again
+    count    corrections so far
+    size     relative change by the last one
+    error    relative error that is left of what corrections remove, and that steps do not show
+    before   change by the steps before the last correction, until the steps after it are checked
+    """
+
+    enabled: bool
     count: int = 0
-    size: float = 0.0  # the relative change by the last one
-    left: float = 0.0  # relative error that is left where steps no longer see it
-    before: float | None = None  # the change by the steps before it, until those after it are seen
+    size: float = 0.0
+    error: float = 0.0
+    before: float | None = None
 
-    def note(self, size, before):
-        """A correction of this size, and the change by the steps before it."""
+    def record(self, size: float, before: float) -> None:
+        """Record a correction of this relative size, and the change by the steps before it."""
         self.before = before
-        kept = max(size / self.size, _LEFT) if self.count else 0.5
+        ratio = max(size / self.size, _REMAINDER) if self.count else _FIRST_REMAINDER
         self.count, self.size = self.count + 1, size
-        self.left = size * kept / (1 - kept)
-        if kept > _USELESS:
-            self.give_up()
+        self.error = size * ratio / (1 - ratio)
+        if ratio > _USELESS:
+            self.disable()
 
-    def made_it_worse(self, change):
+    def has_worsened(self, change: float) -> bool:
         """Whether the first steps after a correction change more than the last ones before it.
 
-        What it added still is there, for the most part: the more surely, the longer it would take
-        to go away.
+        Most of a wrong correction is still there at that time, the more so the longer it would
+        take to decay.
         """
         before, self.before = self.before, None
         return before is not None and change > before
 
-    def give_up(self):
-        self.wanted, self.left, self.before = False, 0.0, None
+    def disable(self) -> None:
+        """Correct no more."""
+        self.enabled, self.error, self.before = False, 0.0, None
 
 
-def settle(level, tolerance, most_steps, tell):
-    """Step a started `Level` until its light is within a tolerance of what it tends to.
+def converge(
+    level: Level, tolerance: float, most_steps: int, report: Callable[[float], None]
+) -> tuple[float, int, int]:
+    """Step the lattice of a started `Level` until its light is within a relative tolerance (L2).
 
-    tell  is called with the estimated error at each look
+    report  called with the estimated relative error at each check
     Returns (estimated relative error, steps, corrections).
     """
     lattice, steps, error = level.lattice, 0, 1.0
-    look, help_ = _Look(lattice), _Help(wanted=not level.is_coarsest)
+    monitor, policy = ConvergenceMonitor(lattice), CorrectionPolicy(enabled=not level.is_coarsest)
     while steps < most_steps:
-        tell(error)
-        lattice.advance(min(_LOOK_EVERY, most_steps - steps))
-        steps = min(steps + _LOOK_EVERY, most_steps)
-        change = look.change()
-        if help_.made_it_worse(change):
+        # Step, and undo a correction that turns out wrong.
+        report(error)
+        lattice.advance(min(_STEPS_PER_CHECK, most_steps - steps))
+        steps = min(steps + _STEPS_PER_CHECK, most_steps)
+        change = monitor.change()
+        if policy.has_worsened(change):
             level.take_back()
-            help_.give_up()
-            look.start_again()
+            policy.disable()
+            monitor.restart()
             continue
-        look.changes.append(change)
-        # What a correction leaves shrinks fast, and tells sooner how fast.
-        rates = len(look.rates)
-        if rates < (1 if help_.left else _RATES):
+
+        # Estimate the error. After a correction the rate shows sooner.
+        monitor.changes.append(change)
+        rates = len(monitor.rates)
+        if rates < (1 if policy.error else _RATES):
             continue
-        left, ahead = look.still_to_come(tolerance)
+        remaining, remaining_steps = monitor.remaining(tolerance)
         if rates > 1:
-            error = left + help_.left
+            error = remaining + policy.error
             if error <= tolerance:
                 break
-        # Never as the last thing done: whether it was right shows in the steps after it.
-        helps = ahead > _FAR or left <= tolerance < left + help_.left
-        if help_.wanted and helps and most_steps - steps > 2 * _LOOK_EVERY:
+
+        # Correct where it pays off, but never last: the steps after it show whether it was right.
+        pays_off = remaining_steps > _FAR or remaining <= tolerance < remaining + policy.error
+        if policy.enabled and pays_off and most_steps - steps > 2 * _STEPS_PER_CHECK:
             steps += level.correct()
-            help_.note(look.start_again(), change)
-    return min(error, 1.0), steps, help_.count
+            policy.record(monitor.restart(), change)
+    return min(error, 1.0), steps, policy.count

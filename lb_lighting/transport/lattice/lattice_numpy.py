@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..medium import repeated
-from .boundary import mirrors
+from .boundary import boundary_reflection
 from .layout import (
     LENGTHS,
     MEAN_LENGTH,
@@ -28,7 +28,7 @@ from .layout import (
 )
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
-CROWDED = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
+DIAGONAL_BLOCKING = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
 """How many more than one of the voxels beside a diagonal light on it meets: so many that with all
 directions it enters 3/2 voxels a voxel's edge, as straight lines of all directions do."""
 
@@ -85,7 +85,9 @@ class NumpyLattice:
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.steps = self.cells.steps
         depth = np.asarray(depth, float)
-        self.outside, self.within = mirrors(depth, albedo, g, occlusion, self.cells, edge)
+        self.outside, self.within = boundary_reflection(
+            depth, albedo, g, occlusion, self.cells, edge
+        )
         self.inside = self.cells.is_inside()
         self.occluders = None
         if occlusion is not None:
@@ -120,7 +122,7 @@ class NumpyLattice:
         self._start_dark(source.reflected)
 
     def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `hand_down`."""
+        """Dark, and to be given what finer lattices `restrict`."""
         self.given = np.zeros((18, self.cells.count))
         self._start_dark(None)
 
@@ -157,7 +159,7 @@ class NumpyLattice:
         arrived = np.array([np.roll(f, step) for f, step in zip(out, self.steps, strict=True)])
         return arrived if self.occluders is None else self.occluders.met(arrived)
 
-    def hand_down(self, coarser, factor):
+    def restrict(self, coarser, factor):
         """Give a lattice of half the resolution a factor times the light that flowed on last.
 
         The odd part carries light on by (1 / s + 1 / 2) voxels' lengths, s the transport depth of
@@ -174,11 +176,11 @@ class NumpyLattice:
         given = (even + odd / coarser._flow()) / 4 + cells.inside(drift)
         cells.inside(coarser.given)[...] += factor * given
 
-    def take_up(self, coarser, factor):
+    def prolongate(self, coarser, factor):
         """Add a factor times the light of a lattice of half the resolution."""
         light = coarser.cells.inside(coarser.light)
         even, odd = (light + light[OPPOSITE]) / 2, (light - light[OPPOSITE]) / 2
-        even, odd = (_doubled(part, self.shape) for part in (even, odd))
+        even, odd = (interpolate(part, self.shape) for part in (even, odd))
         # By the flow of the voxel that each lies in: next to it there may be far thinner ones.
         own = tuple(map(slice, self.shape))  # beyond an odd edge there is nothing
         odd *= self._flow() / repeated(coarser._flow(), 2)[:, *own]
@@ -228,7 +230,7 @@ def sum_of_eight(values):
     return values
 
 
-def _doubled(values, shape):
+def interpolate(values, shape):
     """Values at the centres of voxels, between those of voxels of twice the size."""
     for axis, n in zip((-3, -2, -1), shape, strict=True):
         here = np.arange(n)
@@ -276,7 +278,7 @@ class _Occluders:
         means = [
             sum(np.roll(values, step) / 2 for step in steps) for values in (opaque, reflecting)
         ]
-        return np.multiply(means, 1 + CROWDED * (1 - means[0]))
+        return np.multiply(means, 1 + DIAGONAL_BLOCKING * (1 - means[0]))
 
     def start(self, reflected):
         """reflected is that of a `Source`."""

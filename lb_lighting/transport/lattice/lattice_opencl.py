@@ -13,8 +13,8 @@ from ..device import (
     upload,
     zeros,
 )
-from .boundary import REFLECTED, mirrors
-from .lattice_numpy import CROWDED
+from .boundary import REFLECTED, boundary_reflection
+from .lattice_numpy import DIAGONAL_BLOCKING
 from .layout import (
     GROUP,
     MEAN_LENGTH,
@@ -38,7 +38,7 @@ _CONSTANTS = (
             ("MEAN_LENGTH", MEAN_LENGTH),
             ("SECOND_MOMENT", SECOND_MOMENT),
             ("REFLECTED", REFLECTED),
-            ("CROWDED", CROWDED),
+            ("DIAGONAL_BLOCKING", DIAGONAL_BLOCKING),
         )
     ),
 )
@@ -56,7 +56,9 @@ class OpenclLattice:
         self.swapped, self.kind = np.int32(0), None
 
         cells = self.cells
-        outside, within = mirrors(np.asarray(depth, float), albedo, g, occlusion, cells, edge)
+        outside, within = boundary_reflection(
+            np.asarray(depth, float), albedo, g, occlusion, cells, edge
+        )
         depths = np.where(cells.is_inside(), cells.flat(depth), -1 - outside / REFLECTED)
         self.depths = upload(self.queue, depths)
         factors = (1 - albedo * g, 1 - albedo * g * g, 1 - albedo)  # in float64: may be tiny
@@ -64,13 +66,13 @@ class OpenclLattice:
         self.grid = [np.uint64(n) for n in grid]
         self.origin = np.uint64(cells.first)
         self.medium = [self.depths, *map(np.float32, factors)]
-        self.mirrors = self._mirrors(within)
+        self.reflections = self._reflections(within)
         self.occluders = None
         if occlusion is not None:
             self.occluders = _Occluders(self, occlusion, occlusion_albedo)
 
-    def _mirrors(self, within):
-        """(cells, arguments of the kernel `mirror`)."""
+    def _reflections(self, within):
+        """(cells, arguments of the kernel `reflect_boundary`)."""
         faces = np.concatenate([np.full(len(at), face) for face, (at, _) in within.items()])
         at, shares = (np.concatenate(values) for values in zip(*within.values(), strict=True))
         if not len(at):
@@ -101,7 +103,7 @@ class OpenclLattice:
         self._start_dark(source.reflected)
 
     def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `hand_down`."""
+        """Dark, and to be given what finer lattices `restrict`."""
         if self.kind is None:
             self.kind, self.source = "step_coarser", [self._buffer(_state_size(self.cells))]
             self.parts = self._buffer(_parts_size(self.shape))
@@ -124,25 +126,25 @@ class OpenclLattice:
             arguments = (*self.grid, *self.medium, *self.source, self.light)
             kernel(self.queue, (self.cells.count,), (GROUP,), *arguments)
             self.swapped = np.int32(not self.swapped)
-            count, mirrors_of = self.mirrors
+            count, reflections = self.reflections
             if count:
-                arguments = (*self.grid, self.light, self.swapped, *mirrors_of)
-                self.kernels["mirror"](self.queue, (count,), None, *arguments)
+                arguments = (*self.grid, self.light, self.swapped, *reflections)
+                self.kernels["reflect_boundary"](self.queue, (count,), None, *arguments)
             if self.occluders is not None:
                 self.occluders.meet()
 
-    def hand_down(self, coarser, factor):
+    def restrict(self, coarser, factor):
         """As the twin's."""
         (_, ny, nz), (given, parts) = coarser.shape, (coarser.source[0], coarser.parts)
         across = (*self.grid, self.light, self.swapped, self.depths, self.origin, self.medium[1])
         down = (*coarser.grid, coarser.depths, coarser.origin, self.medium[1])
         depth = np.uint64(self.shape[2])
         for begin, planes in coarser._slabs():
-            self._run("sum_across", (self.shape[2], ny, planes), *across, begin, parts)
+            self._run("restrict_across", (self.shape[2], ny, planes), *across, begin, parts)
             rest = (begin, depth, parts, np.float32(factor), given)
-            self._run("hand_down", (nz, ny, planes), *down, *rest)
+            self._run("restrict_along", (nz, ny, planes), *down, *rest)
 
-    def take_up(self, coarser, factor):
+    def prolongate(self, coarser, factor):
         """As the twin's."""
         (nx, ny, nz), parts = coarser.shape, coarser.parts
         above = (*coarser.grid, coarser.light, coarser.swapped, coarser.origin)
@@ -151,10 +153,10 @@ class OpenclLattice:
         depth = self.shape[2]
         for begin, planes in coarser._slabs():
             rest = (begin, np.uint64(nx), np.uint64(nz), parts)
-            self._run("interpolate", (depth, ny, planes + 2), *above, *rest)
+            self._run("prolongate_along", (depth, ny, planes + 2), *above, *rest)
             rest = (begin, *over, np.uint64(planes + 2), parts, np.float32(factor))
             layers = min(2 * planes, self.shape[0] - 2 * int(begin))
-            self._run("take_up", (depth, self.shape[1], layers), *here, *rest)
+            self._run("prolongate_across", (depth, self.shape[1], layers), *here, *rest)
 
     def _slabs(self):
         """[(first plane, planes)] that light goes down to and up from at a time."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.transport.lattice.boundary import REFLECTED, open_faces
-from lb_lighting.transport.lattice.lattice_numpy import CROWDED, NumpyLattice, Source
+from lb_lighting.transport.lattice.lattice_numpy import DIAGONAL_BLOCKING, NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import LENGTHS, MEAN_LENGTH, WEIGHTS
 from lb_lighting.transport.lattice.multigrid import Level
 from tests.tracing import OPENCL, name
@@ -218,7 +218,7 @@ def test_light_ends_at_a_block_in_the_void_as_at_the_domains_faces():
 def test_straight_and_diagonal_light_meets_three_voxels_a_way_of_two():
     """As straight lines of all directions enter 3/2 voxels a voxel's edge."""
     share = WEIGHTS * LENGTHS / MEAN_LENGTH
-    entered = np.where(LENGTHS == 1, 1, 2 + CROWDED)
+    entered = np.where(LENGTHS == 1, 1, 2 + DIAGONAL_BLOCKING)
     assert np.sum(share * entered / LENGTHS) == pytest.approx(1.5)
 
 

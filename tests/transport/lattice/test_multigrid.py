@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.transport.backend import backend_of
-from lb_lighting.transport.lattice.convergence import settle
+from lb_lighting.transport.lattice.convergence import converge
 from lb_lighting.transport.lattice.lattice_numpy import NumpyLattice, Source
 from lb_lighting.transport.lattice.layout import WEIGHTS
 from lb_lighting.transport.lattice.multigrid import Level, shapes
@@ -67,7 +67,7 @@ def test_what_is_handed_down_is_all_that_flowed():
     fine = level_on(NumpyLattice, (7, 6, 5), False)
     coarse = fine.coarser.lattice
     coarse.start_as_coarser()
-    fine.lattice.hand_down(coarse, 0.5)
+    fine.lattice.restrict(coarse, 0.5)
     flowed = np.array(
         [
             np.roll(light, -step)
@@ -84,7 +84,7 @@ def test_even_light_is_taken_up_as_it_is():
     coarse.start_as_coarser()
     coarse.light[...] = WEIGHTS[:, None]
     fine.lattice.light[...] = 0
-    fine.lattice.take_up(coarse, 2.0)
+    fine.lattice.prolongate(coarse, 2.0)
     light = fine.lattice.cells.inside(fine.lattice.light)
     assert light == pytest.approx(
         np.broadcast_to(2 * WEIGHTS[:, None, None, None], light.shape), rel=1e-12
@@ -103,7 +103,7 @@ def test_random_media_settle_to_the_tolerance(seed):
     light, unsettled = settled(OPENCL[0], optics)
     assert unsettled < 1e-5
     level = started(Level, OPENCL[0], optics)
-    error, steps, _ = settle(level, TOLERANCE, MANY, lambda _error: None)
+    error, steps, _ = converge(level, TOLERANCE, MANY, lambda _error: None)
     assert error <= TOLERANCE
     assert steps < MANY
     assert difference(level.lattice.fluence().astype(float), light) <= 2 * TOLERANCE
@@ -120,7 +120,7 @@ def test_thick_white_media_take_a_fifth_of_the_steps():
     steps = {}
     for kind in (ByStepsAlone, Level):
         level = started(kind, OPENCL[0], thick())
-        error, steps[kind], _ = settle(level, TOLERANCE, MANY, lambda _error: None)
+        error, steps[kind], _ = converge(level, TOLERANCE, MANY, lambda _error: None)
         assert error <= TOLERANCE
     assert steps[Level] < steps[ByStepsAlone] / 5
 
@@ -131,24 +131,26 @@ def test_corrections_that_make_it_worse_are_taken_back_and_given_up():
     class Wrong(Level):
         def correct(self):
             steps = super().correct()
-            self.lattice.take_up(self.coarser.lattice, 9.0)
+            self.lattice.prolongate(self.coarser.lattice, 9.0)
             return steps
 
         def take_back(self):
-            self.lattice.take_up(self.coarser.lattice, -10.0)
+            self.lattice.prolongate(self.coarser.lattice, -10.0)
 
     light, _ = settled(OPENCL[0], thick())
     level = started(Wrong, OPENCL[0], thick())
-    error, steps, corrections = settle(level, TOLERANCE, MANY, lambda _error: None)
+    error, steps, corrections = converge(level, TOLERANCE, MANY, lambda _error: None)
     assert corrections == 1
     assert error <= TOLERANCE
     assert difference(level.lattice.fluence().astype(float), light) <= 2 * TOLERANCE
-    alone = settle(started(ByStepsAlone, OPENCL[0], thick()), TOLERANCE, MANY, lambda _error: None)
+    alone = converge(
+        started(ByStepsAlone, OPENCL[0], thick()), TOLERANCE, MANY, lambda _error: None
+    )
     assert steps < 1.2 * alone[1]
 
 
 def test_light_that_does_not_settle_says_how_far_it_is_off():
     level = started(ByStepsAlone, OPENCL[0], thick())
-    error, steps, _ = settle(level, TOLERANCE, 40, lambda _error: None)
+    error, steps, _ = converge(level, TOLERANCE, 40, lambda _error: None)
     assert steps == 40
     assert error > 0.1
