@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From an error target to settings: the least work that should meet it.
 
-Nothing is guessed that a moment's trial tells: what the `Pilot` tells of the medium in few voxels
-is scaled to the voxels that are asked for. docs/measurements/speed-and-accuracy.md has what the
-scaling was measured on.
+The `Pilot`, a solve of the medium in few voxels, measures errors and times; they are scaled to the
+voxels of the solve. docs/measurements/speed-and-accuracy.md has the measurements behind the
+scaling.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from math import ceil, hypot, inf, prod, sqrt
+from math import hypot, inf, sqrt
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -17,49 +19,53 @@ from ...errors import DeviceError, require_known
 from .. import device as devices
 from ..box import matter
 from ..collision_source import is_soft_within
+from ..device import Device
 from ..lights.distant import FEW_VOXELS
-from ..medium import deepest
+from ..medium import Medium, deepest
+from ..monitor import Cancel
 from ..solver import Settings, require_memory
 from .pilot import (
     EVENER,
     MERGES,
+    Pilot,
     effort,
     fly,
     work_of_rays,
 )
+from .reasons import choices_made, outcome
 
-# The relative error (L2) that each quality is to keep to, of all light as it is seen (`seen`).
+# The target of each quality: the relative error (L2) of all visible light (`visibility`).
 TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}
-# The seconds that a solve may be expected to take at each, where there is a choice.
+# The budget of each quality: the expected seconds of a solve, where there is a choice.
 BUDGETS = {"preview": 20.0, "draft": 20.0, "final": inf, "reference": inf}
-_SAFE = 0.85  # of the target, that what is expected must keep to
-_STOP = 0.2  # of the target, that the lattice may leave
-_NOISE = (0.3, 0.5)  # of the target, that photons may leave: the least, and the most
+_SAFE = 0.85  # share of the target that the expected error must meet
+_STOP = 0.2  # share of the target that the lattice may leave
+_NOISE = (0.3, 0.5)  # least and largest share of the target that photons may leave
 _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
 _RAYS = (0.5, 1.0, 2.0, 4.0)
-# What is left of the lattice's error where photons go before it.
+# The share of the lattice's error that is left if photons precede it.
 _LEFT = (0, 1, 2, 4), (1, 0.75, 0.6, 0.45)  # by handover
-_FIXED = 0.04  # s that a solve takes of however little; half of it without a lattice
+_FIXED = 0.04  # s of any solve; half of it without a lattice
 _FEWEST_VOXELS = 8  # along the longest edge of a lattice
 _FEWEST_PHOTONS = 10_000
 _FEWEST_STEPS = 48
-_NEARLY = 1.1  # times the smallest error, which is not worth more time
+_NEARLY = 1.1  # times the smallest error: a smaller error is not worth more time
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How to solve a medium, and what that should come to.
+    """How to solve a medium, and the error, time and memory to expect.
 
     settings  `Settings`
     quality   the name of the target
-    target    relative error (L2) of all light that was asked for, as it is seen
-    error     that is expected, from stopping and noise too
-    seconds   that are expected of the solve
-    bytes     of memory
-    device    its label
-    reasons   [line]: what was chosen, and why
-    spent     seconds that planning took
-    budget    seconds that the solve was to take at most
+    target    relative error (L2) of all visible light that was asked for
+    error     expected error, including that of stopping and noise
+    seconds   expected time of the solve
+    bytes     memory of the solve
+    device    the label of the device
+    reasons   [sentence]: what was chosen, and why
+    spent     seconds of planning
+    budget    largest expected time that was asked for, seconds
     """
 
     settings: Settings
@@ -69,22 +75,22 @@ class Plan:
     seconds: float
     bytes: int
     device: str
-    reasons: list
+    reasons: list[str]
     spent: float
     budget: float = inf
 
     @property
-    def meets_target(self):
+    def meets_target(self) -> bool:
         return self.error <= self.target
 
     @property
-    def keeps_to_budget(self):
+    def keeps_to_budget(self) -> bool:
         return self.seconds <= self.budget
 
 
 @dataclass(frozen=True)
 class _Choice:
-    """A way of solving, and what it should come to."""
+    """A way of solving, and its expected error and time."""
 
     settings: Settings
     error: float
@@ -92,27 +98,27 @@ class _Choice:
 
 
 def plan(
-    medium,
-    lights,
-    quality="final",
-    device=None,
-    fixed=None,
-    cancel=None,
+    medium: Medium,
+    lights: Iterable[Any],
+    quality: str = "final",
+    device: Device | str | None = None,
+    fixed: dict[str, Any] | None = None,
+    cancel: Cancel | None = None,
     *,
-    scattered=False,
-    budget=None,
-):
+    scattered: bool = False,
+    budget: float | None = None,
+) -> Plan:
     """The `Plan` for lighting a medium.
 
     medium, lights, device, cancel  as for `solve`
     quality  "preview", "draft", "final" or "reference": errors of 20, 10, 5 and 2 %
-    fixed    {name: value} of `Settings` that are not to be chosen
+    fixed    {name: value} of `Settings` that the caller chooses
     scattered  whether surfaces show the light, and the renderer adds what lamps send them: then
              scattered light is never left out
-    budget   seconds that the solve may be expected to take, or None for the quality's: 20 for
-             preview and draft, any for the others
-    Where no way within the budget is expected to meet the target, it is the most exact of them
-    that fits into memory; where none is within the budget, the fastest.
+    budget   largest expected time in seconds, or None for the quality's: 20 for preview and
+             draft, any for the others
+    If nothing within the budget should meet the target, the plan is the most accurate one within
+    the budget that fits into memory; if nothing is within the budget, the fastest one.
     Raises what `solve` raises.
     """
     require_known(quality, tuple(TARGETS), "quality")
@@ -121,21 +127,20 @@ def plan(
     if scattered:
         fixed.setdefault("scattering", "multiple")
     lights, most = list(lights), _most_scattered(medium)
-    thin = most <= _SAFE * target and _may_be_single(fixed)
-    if thin:
+
+    # Fly the pilot. Thin media need no lattice, whatever it would find.
+    is_thin = most <= _SAFE * target and _may_be_single(fixed)
+    if is_thin:
         fixed["scattering"] = "single"
     base = replace(Settings(tolerance=_STOP * target), **fixed)
-    told = most if thin else None
-    pilot = fly(medium, lights, base, target, device, cancel, thin=told, scattered=scattered)
+    thin = most if is_thin else None
+    pilot = fly(medium, lights, base, target, device, cancel, thin=thin, scattered=scattered)
+
+    # Choose the best settings that fit into memory.
     edge = max(matter(medium, lights).shape)
-    # Photons do not know of a lamp's radius, which counts where it stands in the medium.
-    soft = any(is_soft_within(light, medium.domain) for light in lights)
-    choices = []
-    for settings in _candidates(base, fixed, edge, (0.0,) if soft else _HANDOVERS):
-        settings, error = _expected_error(settings, pilot, medium, edge, target)
-        choices.append(_Choice(settings, error, _expected_seconds(settings, pilot, medium, edge)))
-    good = [choice for choice in choices if choice.error <= _SAFE * target]
-    wanted = min((choice.seconds for choice in good), default=None)
+    choices = _choices(medium, lights, base, fixed, pilot, edge, target)
+    accurate = [choice for choice in choices if choice.error <= _SAFE * target]
+    needed_seconds = min((choice.seconds for choice in accurate), default=None)
     if budget < inf and "photons" not in fixed:
         choices += _with_fewer_photons(choices, pilot, medium, edge, target, budget)
     ordered = _in_order(choices, target, budget)
@@ -143,31 +148,42 @@ def plan(
     settings = chosen.settings
     if "most_steps" not in fixed:
         settings = _stopped_in_time(settings, pilot, edge, budget)
-    return Plan(
-        settings,
-        quality,
-        target,
-        chosen.error,
-        chosen.seconds,
-        needed,
-        devices.choose(device).label,
-        [
-            *_reasons(settings, pilot, medium, lights),
-            _of_the_outcome(chosen, quality, target, budget, wanted),
-        ],
-        perf_counter() - start,
-        budget,
-    )
+
+    # Explain them.
+    reasons = choices_made(settings, pilot, medium, lights, _STOP)
+    expected = chosen.error, chosen.seconds
+    reasons.append(outcome(*expected, quality, target, budget, needed_seconds))
+    label, spent = devices.choose(device).label, perf_counter() - start
+    return Plan(settings, quality, target, *expected, needed, label, reasons, spent, budget)
 
 
-def _in_order(choices, target, budget):
+def _choices(
+    medium: Medium,
+    lights: Sequence[Any],
+    base: Settings,
+    fixed: dict[str, Any],
+    pilot: Pilot,
+    edge: int,
+    target: float,
+) -> list[_Choice]:
+    """All ways of solving that leave what is fixed as it is."""
+    # Photons ignore a lamp's radius, which matters where it stands in the medium.
+    is_soft = any(is_soft_within(light, medium.domain) for light in lights)
+    choices = []
+    for candidate in _candidates(base, fixed, edge, (0.0,) if is_soft else _HANDOVERS):
+        settings, error = _expected_error(candidate, pilot, medium, edge, target)
+        choices.append(_Choice(settings, error, _expected_seconds(settings, pilot, medium, edge)))
+    return choices
+
+
+def _in_order(choices: Sequence[_Choice], target: float, budget: float) -> list[_Choice]:
     """The choices, the best first."""
     fast = [choice for choice in choices if choice.seconds <= budget]
     good = [choice for choice in fast if choice.error <= _SAFE * target]
     least = min((choice.error for choice in fast), default=0.0)
     nearly = [choice for choice in fast if choice.error <= _NEARLY * least]
     return [
-        # Noise is seen more than an even error of the same size is.
+        # Noise is more visible than a smooth error of the same size.
         *sorted(good, key=lambda choice: (choice.settings.handover > 0, choice.seconds)),
         *sorted(nearly, key=lambda choice: choice.seconds),
         *sorted(fast, key=lambda choice: choice.error),
@@ -175,8 +191,15 @@ def _in_order(choices, target, budget):
     ]
 
 
-def _with_fewer_photons(choices, pilot, medium, edge, target, budget):
-    """[choice]: those that trace too many photons for the budget, with as many as it allows."""
+def _with_fewer_photons(
+    choices: Sequence[_Choice],
+    pilot: Pilot,
+    medium: Medium,
+    edge: int,
+    target: float,
+    budget: float,
+) -> list[_Choice]:
+    """The choices that trace too many photons for the budget, with as many as it allows."""
     found = []
     for choice in choices:
         settings = choice.settings
@@ -192,8 +215,8 @@ def _with_fewer_photons(choices, pilot, medium, edge, target, budget):
     return found
 
 
-def _stopped_in_time(settings, pilot, edge, budget):
-    """`Settings` whose lattice takes no more steps than a budget has the seconds for."""
+def _stopped_in_time(settings: Settings, pilot: Pilot, edge: int, budget: float) -> Settings:
+    """`Settings` whose lattice takes no more steps than fit into a budget."""
     if budget == inf or settings.scattering == "single" or settings.handover == inf:
         return settings
     if not pilot.steps[0] or not pilot.solve:
@@ -204,7 +227,13 @@ def _stopped_in_time(settings, pilot, edge, budget):
     )
 
 
-def _first_that_fits(choices, medium, lights, device):
+def _first_that_fits(
+    choices: Sequence[_Choice],
+    medium: Medium,
+    lights: Sequence[Any],
+    device: Device | str | None,
+) -> tuple[_Choice, int]:
+    """(choice, bytes of its memory)."""
     for number, choice in enumerate(choices, 1):
         try:
             arguments = (medium.bands, medium.occlusion is not None, len(lights))
@@ -217,7 +246,7 @@ def _first_that_fits(choices, medium, lights, device):
     raise AssertionError("there is always a choice")
 
 
-def _most_scattered(medium):
+def _most_scattered(medium: Medium) -> float:
     """What scattered light is at most of all light, as it is seen: what scatters on the deepest
     line along an axis.
 
@@ -231,13 +260,18 @@ def _most_scattered(medium):
     return deepest(depth)
 
 
-# --- What a way of solving should come to --------------------------------------------------------
+# --- Expected errors and times --------------------------------------------------------
 
 
-def _candidates(base, fixed, edge, handovers):
-    """`Settings` to choose from: all combinations that leave what is fixed as it is."""
-    merges = [m for m in MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
-    usual = {"rays": _RAYS, "merge": merges, "handover": handovers}
+def _candidates(
+    base: Settings, fixed: dict[str, Any], edge: int, handovers: Sequence[float]
+) -> Iterator[Settings]:
+    """All combinations of `Settings` that keep the fixed ones."""
+    usual: dict[str, Sequence[float]] = {
+        "rays": _RAYS,
+        "merge": [m for m in MERGES if m == 1 or edge / m >= _FEWEST_VOXELS],
+        "handover": handovers,
+    }
     all_rays, merges, handovers = (
         [fixed[name]] if name in fixed else values for name, values in usual.items()
     )
@@ -249,14 +283,16 @@ def _candidates(base, fixed, edge, handovers):
                 yield replace(base, merge=merge, handover=handover, rays=rays)
 
 
-def _may_be_single(fixed):
+def _may_be_single(fixed: dict[str, Any]) -> bool:
     if "scattering" in fixed:
-        return fixed["scattering"] == "single"
+        return bool(fixed["scattering"] == "single")
     return not {"merge", "handover"} & set(fixed)
 
 
-def _expected_error(settings, pilot, medium, edge, target):
-    """(`Settings` with as many photons as keep to the target, the error expected of them)."""
+def _expected_error(
+    settings: Settings, pilot: Pilot, medium: Medium, edge: int, target: float
+) -> tuple[Settings, float]:
+    """(`Settings` with enough photons for the target, their expected error)."""
     sampling = pilot.sampling * settings.rays**-EVENER
     if edge > FEW_VOXELS >= pilot.edge:  # half of the rays are taken along an edge
         sampling *= 2**EVENER
@@ -278,8 +314,8 @@ def _expected_error(settings, pilot, medium, edge, target):
     return replace(settings, photons=photons), hypot(error, noise / sqrt(photons))
 
 
-def _of_merged(settings, pilot, growth):
-    """The error of merging; growth is by how many voxels of the pilot the edges grow."""
+def _of_merged(settings: Settings, pilot: Pilot, growth: float) -> float:
+    """The error of merging; growth is that of the edges, in voxels of the pilot."""
     if not growth:
         return 0.0
     merging = pilot.merging * growth
@@ -290,7 +326,7 @@ def _of_merged(settings, pilot, growth):
     return hypot(merging, pilot.error * growth / (growth + 1.6))
 
 
-def _expected_seconds(settings, pilot, medium, edge):
+def _expected_seconds(settings: Settings, pilot: Pilot, medium: Medium, edge: int) -> float:
     scale = pilot.air * effort(settings.rays)
     once = pilot.once * scale * work_of_rays(edge) / work_of_rays(pilot.edge)
     if settings.scattering == "single":
@@ -312,102 +348,19 @@ def _expected_seconds(settings, pilot, medium, edge):
     return float(seconds)
 
 
-def _edges(settings, pilot, edge):
-    """Voxels that the lattice and its rays have along an edge, and those in the pilot."""
+def _edges(settings: Settings, pilot: Pilot, edge: int) -> tuple[float, float]:
+    """Voxels of the lattice and its rays along an edge: of the solve, and of the pilot."""
     large = edge / settings.merge * pilot.pieces.get(settings.merge, 1)
     return large, pilot.edge * pilot.pieces.get(0, 1)
 
 
-def _growth(settings, pilot, edge):
+def _growth(settings: Settings, pilot: Pilot, edge: int) -> float:
     large, small = _edges(settings, pilot, edge)
     return large / small
 
 
-def _path(handover, pilot, medium):
-    """Collisions of a photon till it is handed over, over those of the pilot's."""
+def _path(handover: float, pilot: Pilot, medium: Medium) -> float:
+    """Collisions of a photon before the lattice takes over, relative to the pilot's."""
     of_one = 1 / (1 - float((medium.albedo * medium.g).max()))
     now, then = (min(1 + depth * of_one, pilot.collisions) for depth in (handover, pilot.traced))
     return now / then if then else 1.0  # where nothing collides
-
-
-# --- What was chosen, and why --------------------------------------------------------------------
-
-
-def _reasons(settings, pilot, medium, lights):
-    """[line] for people, but for what it should come to."""
-    if settings.scattering == "single":
-        return [
-            f"No lattice: scattered light is at most {pilot.share:.1%} of the light that is seen, "
-            "so it is enough to scatter light once, in the shader.",
-            _of_rays(settings, pilot),
-        ]
-    return [
-        f"Scattered light is needed: it is {pilot.share:.0%} of the light that is seen.",
-        _of_photons(settings, pilot),
-        _of_merging(settings, pilot, medium),
-        _of_rays(settings, pilot),
-        f"The lattice stops when {settings.tolerance:.1%} of its light is still to come, "
-        f"{_STOP:.0%} of the target.",
-        _of_space(medium, lights),
-    ]
-
-
-def _of_the_outcome(chosen, quality, target, budget, wanted):
-    """A line: whether the target and the budget should be kept to, and what else it would take.
-
-    wanted  s that it takes to keep to the target; None where nothing does
-    """
-    met = chosen.error <= target
-    error = f"The error should be {chosen.error:.1%}" + (
-        f"; the target is {target:.0%}." if met else f", above the target of {target:.0%}."
-    )
-    limit = f"{quality.capitalize()} is meant to end within {budget:.0f} s"
-    if chosen.seconds > budget:
-        return (
-            f"{error} It should take about {chosen.seconds:.0f} s. {limit}, but no way of solving "
-            "is faster at this resolution."
-        )
-    if met:
-        return error
-    if wanted is None or wanted <= budget:
-        return f"{error} No way of solving is more exact here."
-    return (
-        f"{error} Meeting the target would take about {wanted:.0f} s. {limit}; "
-        "choose Final to allow more time."
-    )
-
-
-def _of_photons(settings, pilot):
-    if settings.handover == inf:
-        return f"Photons alone, {settings.photons:,}: the lattice would be less exact, or slower."
-    if not pilot.noise:
-        return f"No photons: the lattice is at most about {pilot.error:.1%} off."
-    alone = f"the lattice alone is {pilot.error:.1%} off"
-    if not settings.handover:
-        return f"No photons: {alone}."
-    return (
-        f"{settings.photons:,} photons for {settings.handover:g} transport optical depths: {alone}."
-    )
-
-
-def _of_merging(settings, pilot, medium):
-    if settings.merge == 1 and pilot.merging == inf:
-        return "Scattered light in all voxels: larger ones would be too dark for the lattice."
-    if settings.merge == 1:
-        return f"Scattered light in all voxels: in larger ones it is {pilot.merging:.1%} off."
-    edge = ceil(max(medium.shape) / settings.merge)
-    return f"Scattered light in voxels of {settings.merge} times the edge, {edge} along the domain."
-
-
-def _of_rays(settings, pilot):
-    number = "the usual number" if settings.rays == 1 else f"{settings.rays:g} times the number"
-    if not pilot.sampling:
-        return f"Unscattered light by {number} of rays, as it is not shown itself."
-    return f"Unscattered light by {number} of rays; the usual number is {pilot.sampling:.1%} off."
-
-
-def _of_space(medium, lights):
-    filled = prod(matter(medium, lights).shape) / prod(medium.shape)
-    if filled == 1:
-        return "The lattice covers the domain: there is matter all over."
-    return f"The lattice covers {filled:.0%} of the domain: the rest is empty."
