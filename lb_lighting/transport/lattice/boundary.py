@@ -3,11 +3,13 @@
 
 import numpy as np
 
+from ...arrays import Array, Booleans, Floats, Integers
 from .layout import (
     MEAN_LENGTH,
     MOVING,
     THROUGH,
     WEIGHTS,
+    Cells,
     parts,
 )
 
@@ -19,7 +21,7 @@ REFLECTED = (_SLOPE - 1) / (_SLOPE + 1)
 (negative: more is let out), which sets how far outside the fluence extrapolates to zero."""
 
 
-def returned(depth, albedo, g, edge=None):
+def returned(depth: Floats, albedo: float, g: float, edge: float | None = None) -> Floats:
     """(nx, ny, nz), the share of light leaving a voxel through an open face that comes back.
 
     `REFLECTED` where the domain would be thick if it were filled with what the voxel holds, and
@@ -31,8 +33,15 @@ def returned(depth, albedo, g, edge=None):
         return REFLECTED / (1 + 1 / (edge * depth * (1 - albedo * g)))
 
 
-def boundary_reflection(depth, albedo, g, occlusion, cells, edge=None):
-    """Where light that leaves comes back: (outside, {face: (cells, shares)}).
+def boundary_reflection(
+    depth: Floats,
+    albedo: float,
+    g: float,
+    occlusion: Floats | None,
+    cells: Cells,
+    edge: float | None = None,
+) -> tuple[Floats, dict[int, tuple[Integers, Floats]]]:
+    """Where light that leaves is reflected: (outside, {face: (cells, shares)}).
 
     edge is that of `NumpyLattice`.
 
@@ -49,7 +58,8 @@ def boundary_reflection(depth, albedo, g, occlusion, cells, edge=None):
     )
     outside = np.zeros(cells.count)
     outside[around] = arriving / np.maximum(sources, 1)
-    faces, within = cells.flat(open_faces(depth, occlusion)), {}
+    faces = cells.flat(open_faces(depth, occlusion))
+    within: dict[int, tuple[Integers, Floats]] = {}
     for face, directions in enumerate(THROUGH):
         ahead = cells.steps[directions[0]]  # the first of them is along the axis
         at = np.flatnonzero(np.roll(faces >> face & 1, ahead) * inside)
@@ -57,7 +67,7 @@ def boundary_reflection(depth, albedo, g, occlusion, cells, edge=None):
     return outside, within
 
 
-def open_faces(depth, occlusion=None):
+def open_faces(depth: Floats, occlusion: Floats | None = None) -> Integers:
     """(nx, ny, nz) uint8, the bits of the faces -x, +x, -y, +y, -z, +z of a voxel that are open.
 
     That is where the medium ends in a plane, as it does at the domain's faces: the nine voxels
@@ -77,7 +87,7 @@ def open_faces(depth, occlusion=None):
     return faces
 
 
-def _is_free(empty, clear, c):
+def _is_free(empty: Booleans, clear: Booleans, c: Integers) -> Booleans:
     """(nx, ny, nz), whether what leaves each voxel along c meets nothing more.
 
     empty  whether voxels hold nothing
@@ -92,12 +102,12 @@ def _is_free(empty, clear, c):
     return free
 
 
-def _at(values, step, outside):
+def _at(values: Array, step: Integers, outside: bool) -> Array:
     """(nx, ny, nz), the values of the voxels that lie a step from each."""
-    found = np.full_like(values, outside)
+    shifted = np.full_like(values, outside)
     if np.all(np.abs(step) < values.shape):
         sizes = list(zip(step, values.shape, strict=True))
         here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in sizes)
-        there = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
-        found[here] = values[there]
-    return found
+        source = tuple(slice(max(d, 0), n + min(d, 0)) for d, n in sizes)
+        shifted[here] = values[source]
+    return shifted

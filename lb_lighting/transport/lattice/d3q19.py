@@ -10,10 +10,12 @@ from itertools import combinations, product
 
 import numpy as np
 
+from ...arrays import Floats, Integers
+
 AXIAL, DIAGONAL = slice(1, 7), slice(7, 19)
 
 
-def _directions():
+def _directions() -> Integers:
     rest = [(0, 0, 0)]
     axial = [tuple(s * (a == axis) for a in range(3)) for axis in range(3) for s in (1, -1)]
     diagonal = []
@@ -25,7 +27,7 @@ def _directions():
     return np.array(rest + axial + diagonal)
 
 
-def _weights():
+def _weights() -> Floats:
     w = np.zeros(19)
     w[AXIAL], w[DIAGONAL] = 1 / 12, 1 / 24
     return w

@@ -9,10 +9,12 @@ is the light that has arrived. docs/theory/physics.md derives what stands here; 
 it lies.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import Array, Floats, Integers
 from ..medium import repeated
 from .boundary import boundary_reflection
 from .layout import (
@@ -29,13 +31,13 @@ from .layout import (
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 DIAGONAL_BLOCKING = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
-"""How many more than one of the voxels beside a diagonal light on it meets: so many that with all
-directions it enters 3/2 voxels a voxel's edge, as straight lines of all directions do."""
+"""The number of voxels beside a diagonal, above one, that block light on it: with this number
+light of all directions enters 3/2 voxels per voxel edge, as straight lines of all directions do."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What is handed to the lattice of one band in every step.
+    """The source of the lattice of one band, the same in every step.
 
     power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
     drift      (3, nx, ny, nz) W/m^2, power times its mean direction, and times its mean place from
@@ -44,12 +46,12 @@ class Source:
                lattice brings them
     """
 
-    power: np.ndarray
-    drift: np.ndarray
-    reflected: np.ndarray | None = None
+    power: Floats
+    drift: Floats
+    reflected: Floats | None = None
 
 
-def rates(depth, albedo, g):
+def rates(depth: Floats, albedo: float, g: float) -> tuple[Floats, Floats, Floats]:
     """(even, odd, absorbed), each (18, ...): the share of each part that a step changes.
 
     depth  (...), optical depth of a voxel's edge
@@ -66,13 +68,13 @@ def rates(depth, albedo, g):
     return even, odd, absorbed
 
 
-def _by_direction(depth):
+def _by_direction(depth: Floats | float) -> Floats:
     """(18, ...): what lies between two centres."""
     return np.multiply.outer(LENGTHS, depth)
 
 
 class NumpyLattice:
-    """The lattice of one band, used just as `physical_opencl.OpenclLattice`.
+    """The lattice of one band, used just as `lattice_opencl.OpenclLattice`.
 
     depth             (nx, ny, nz), optical depth of a voxel's edge
     albedo, g         of the band
@@ -81,7 +83,15 @@ class NumpyLattice:
     edge              voxels, the longest of a domain of which this is a part; None if it is all
     """
 
-    def __init__(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
+    def __init__(
+        self,
+        depth: Floats,
+        albedo: float,
+        g: float,
+        occlusion: Floats | None = None,
+        occlusion_albedo: Floats | float = 0.0,
+        edge: float | None = None,
+    ) -> None:
         self.shape, self.cells = depth.shape, Cells(depth.shape)
         self.steps = self.cells.steps
         depth = np.asarray(depth, float)
@@ -103,7 +113,7 @@ class NumpyLattice:
         self.pull = pull / (WEIGHTS @ pull)
 
     @staticmethod
-    def buffers(shape, occluded):
+    def buffers(shape: Sequence[int], occluded: bool) -> dict[str, int]:
         """{what: bytes} for a lattice of this shape and all coarser ones, float64."""
         directions = 18 * 8 * Cells(shape).count
         plan = {"light": directions, "light that flows on": directions, "rates": 6 * directions}
@@ -113,34 +123,34 @@ class NumpyLattice:
         plan["coarser lattices"] = sum(plan.values()) // 7  # an eighth, an eighth of that, ...
         return plan
 
-    def start(self, source):
-        """Dark, with a `Source`."""
+    def start(self, source: Source) -> None:
+        """Remove all light, and set the `Source`."""
         power = self.cells.flat(source.power)
         self.emitted = np.multiply.outer(WEIGHTS * LENGTHS / MEAN_LENGTH, power)
         self.drift = self._drift(self.cells.flat(source.drift))
         self.given = self.emitted * (1 - self.absorbed / 2) + self.drift
         self._start_dark(source.reflected)
 
-    def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `restrict`."""
+    def start_as_coarser(self) -> None:
+        """Remove all light, and wait for the residual that a finer lattice will `restrict`."""
         self.given = np.zeros((18, self.cells.count))
         self._start_dark(None)
 
-    def _start_dark(self, reflected):
+    def _start_dark(self, reflected: Floats | None) -> None:
         if self.occluders is not None:
             self.occluders.start(reflected)
-        self.light = np.zeros((18, self.cells.count))
+        self.light: Floats = np.zeros((18, self.cells.count))
 
-    def _drift(self, drift):
+    def _drift(self, drift: Floats) -> Floats:
         """(18, count) of (3, count)."""
         return WEIGHTS[:, None] / SECOND_MOMENT * self.drifted * (MOVING @ drift)
 
-    def advance(self, steps):
-        """Take so many steps."""
+    def advance(self, steps: int) -> None:
+        """Take a number of steps."""
         for _ in range(steps):
             self.light = self._streamed(self._collided(self.light))
 
-    def _collided(self, f):
+    def _collided(self, f: Floats) -> Floats:
         """(18, count): what flows on of what has arrived."""
         even, odd = (f + f[OPPOSITE]) / 2, (f - f[OPPOSITE]) / 2
         isotropic = self._isotropic(f)
@@ -154,19 +164,20 @@ class NumpyLattice:
                 out[OPPOSITE[m], at] += back
         return out
 
-    def _streamed(self, out):
+    def _streamed(self, out: Floats) -> Floats:
         """(18, count): what arrives of what flows on."""
         arrived = np.array([np.roll(f, step) for f, step in zip(out, self.steps, strict=True)])
         return arrived if self.occluders is None else self.occluders.met(arrived)
 
-    def restrict(self, coarser, factor):
-        """Give a lattice of half the resolution a factor times the light that flowed on last.
+    def restrict(self, coarser: "NumpyLattice", factor: float) -> None:
+        """Add a factor times the light that flowed last to the source of a lattice of half the
+        resolution.
 
         The odd part carries light on by (1 / s + 1 / 2) voxels' lengths, s the transport depth of
         one, before it is forgotten: by as far on both.
         """
-        out = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
-        out = self.cells.inside(np.array(out))
+        flowed = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
+        out = self.cells.inside(np.array(flowed))
         even, odd = (out + out[OPPOSITE]) / 2, (out - out[OPPOSITE]) / 2
         power = out.sum(axis=0)
         place = np.array([power * (n % 2 - 0.5) for n in np.indices(self.shape)]) / 2
@@ -176,42 +187,42 @@ class NumpyLattice:
         given = (even + odd / coarser._flow()) / 4 + cells.inside(drift)
         cells.inside(coarser.given)[...] += factor * given
 
-    def prolongate(self, coarser, factor):
+    def prolongate(self, coarser: "NumpyLattice", factor: float) -> None:
         """Add a factor times the light of a lattice of half the resolution."""
         light = coarser.cells.inside(coarser.light)
         even, odd = (light + light[OPPOSITE]) / 2, (light - light[OPPOSITE]) / 2
         even, odd = (interpolate(part, self.shape) for part in (even, odd))
         # By the flow of the voxel that each lies in: next to it there may be far thinner ones.
-        own = tuple(map(slice, self.shape))  # beyond an odd edge there is nothing
-        odd *= self._flow() / repeated(coarser._flow(), 2)[:, *own]
+        within = tuple(map(slice, self.shape))  # beyond an odd edge there is nothing
+        odd *= self._flow() / repeated(coarser._flow(), 2)[:, *within]
         self.cells.inside(self.light)[...] += factor * (even + odd)
 
-    def _flow(self):
+    def _flow(self) -> Floats:
         """(18, nx, ny, nz), the odd part over that of the light that flows through a voxel."""
         return 1 + _by_direction(self.cells.inside(self.transport_depth)) / 2
 
-    def _isotropic(self, f):
+    def _isotropic(self, f: Floats) -> Floats:
         """(18, count): the light spread evenly that collisions lead to."""
         return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
-    def fluence(self, every=1):
+    def fluence(self, every: int = 1) -> Floats:
         """(nx, ny, nz) W/m^2, of every n-th layer along x; absorption times it is what the
         steps absorb."""
         passing = self._isotropic(self.light) + self.emitted / 2
         return self.cells.inside(np.sum(passing * self.lingered, axis=0))[::every]
 
-    def flux(self):
+    def flux(self) -> Floats:
         """(3, nx, ny, nz) W/m^2."""
         passing = self.light * (1 - self.odd / 2) + self.drift / 2
         return self.cells.inside(MOVING.T.astype(float) @ passing)
 
-    def leaving(self):
+    def leaving(self) -> Iterator[Floats]:
         """Yields for each direction (nx, ny, nz) W/m^2: what flowed on by the last step, by the
         voxel that it left; less of what leaves all of these where some of it comes back."""
         for light, step in zip(self.light, self.steps, strict=True):
             yield self.cells.inside(np.roll((1 - self.outside) * light, -step))
 
-    def lost(self):
+    def lost(self) -> tuple[Floats, float]:
         """(left (6,), stopped): the light of a step that leaves through the faces -x, +x, -y, +y,
         -z, +z, and that occluders absorb; sums over voxels of W/m^2."""
         left = np.zeros(6)
@@ -223,14 +234,14 @@ class NumpyLattice:
         return left, 0.0 if self.occluders is None else self.occluders.stopped
 
 
-def sum_of_eight(values):
+def sum_of_eight(values: Floats) -> Floats:
     """(..., nx/2, ny/2, nz/2, rounded up) of (..., nx, ny, nz)."""
     for axis in (-3, -2, -1):
         values = np.add.reduceat(values, range(0, values.shape[axis], 2), axis)
     return values
 
 
-def interpolate(values, shape):
+def interpolate(values: Floats, shape: Sequence[int]) -> Floats:
     """Values at the centres of voxels, between those of voxels of twice the size."""
     for axis, n in zip((-3, -2, -1), shape, strict=True):
         here = np.arange(n)
@@ -251,7 +262,7 @@ class _Occluders:
     stopped   the sum of what they have absorbed of the last step, W/m^2
     """
 
-    def __init__(self, cells, occlusion, albedo):
+    def __init__(self, cells: Cells, occlusion: Floats, albedo: Floats | float) -> None:
         self.cells, self.steps = cells, cells.steps
         occlusion = np.asarray(occlusion, float)
         inside, opaque = cells.is_inside(), cells.flat(occlusion)
@@ -269,7 +280,7 @@ class _Occluders:
         self.spread = WEIGHTS @ self.sent_back
         self.stopped = 0.0
 
-    def _beside(self, opaque, reflecting, c):
+    def _beside(self, opaque: Floats, reflecting: Floats, c: Integers) -> Array:
         """(count,) each: the shares that the two voxels beside a diagonal on its way to each cell
         stop, and send back; none along axes."""
         if np.abs(c).sum() == 1:
@@ -280,12 +291,12 @@ class _Occluders:
         ]
         return np.multiply(means, 1 + DIAGONAL_BLOCKING * (1 - means[0]))
 
-    def start(self, reflected):
+    def start(self, reflected: Floats | None) -> None:
         """reflected is that of a `Source`."""
         none = np.zeros(self.cells.shape)
         self.reflected = self.cells.flat(none if reflected is None else reflected)
 
-    def met(self, arriving):
+    def met(self, arriving: Floats) -> Floats:
         """(18, count): what arrives where all of this would without them.
 
         What they send back to a cell goes off evenly in all directions away from them: sent

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The physical lattice on an OpenCL device, in float32; physical_numpy.py is the twin."""
+"""The physical lattice on an OpenCL device, in float32; lattice_numpy.py is the twin."""
 
 from math import prod
 
@@ -45,7 +45,7 @@ _CONSTANTS = (
 
 
 class OpenclLattice:
-    """The lattice of one band on a device, with the arguments of `physical_numpy.NumpyLattice`."""
+    """The lattice of one band on a device, with the arguments of `lattice_numpy.NumpyLattice`."""
 
     def __init__(self, depth, albedo, g, occlusion, occlusion_albedo, device, edge=None):
         self.shape, self.cells = depth.shape, Cells(depth.shape)
@@ -96,14 +96,14 @@ class OpenclLattice:
         return plan
 
     def start(self, source):
-        """Dark, with a `Source`."""
+        """Remove all light, and set the `Source`."""
         given = np.concatenate([source.power[None], source.drift]).astype(np.float32)
         self.source = [upload(self.queue, self.cells.flat(given)), np.uint64(self.cells.count)]
         self.kind = "step"
         self._start_dark(source.reflected)
 
     def start_as_coarser(self):
-        """Dark, and to be given what finer lattices `restrict`."""
+        """Remove all light, and wait for the residual that a finer lattice will `restrict`."""
         if self.kind is None:
             self.kind, self.source = "step_coarser", [self._buffer(_state_size(self.cells))]
             self.parts = self._buffer(_parts_size(self.shape))
@@ -120,7 +120,7 @@ class OpenclLattice:
         cl.enqueue_fill_buffer(self.queue, buffer, np.float32(0), 0, buffer.size)
 
     def advance(self, steps):
-        """Take so many steps."""
+        """Take a number of steps."""
         for _ in range(steps):
             kernel = self.kernels[f"{self.kind}_there" if self.swapped else f"{self.kind}_here"]
             arguments = (*self.grid, *self.medium, *self.source, self.light)

@@ -6,10 +6,13 @@ it is the same number of cells. Around the voxels there is a layer of cells for 
 what leaves the domain comes there, and nothing else does.
 """
 
+from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Array, Booleans, Floats, Integers
 from .d3q19 import DIRECTIONS
 
 MOVING = DIRECTIONS[1:]
@@ -19,9 +22,10 @@ LENGTHS = np.linalg.norm(MOVING, axis=1)
 """(18,) voxels, l_m."""
 
 
-def _weights():
+def _weights() -> Floats:
     weights = np.where(LENGTHS == 1, 0.2 / 6, 0.8 / (12 * np.sqrt(2)))
-    return weights / weights.sum()
+    shares: Floats = weights / weights.sum()
+    return shares
 
 
 WEIGHTS = _weights()
@@ -38,9 +42,10 @@ THROUGH = [np.flatnonzero(MOVING[:, axis] == side) for axis, side in product(ran
 """For each of the faces -x, +x, -y, +y, -z, +z, the five directions that lead out of it."""
 
 
-def parts(c):
+def parts(c: Integers) -> Integers:
     """(1 or 2, 3) int, the steps along axes of which c is the sum."""
-    return np.diag(c)[c != 0]
+    steps: Integers = np.diag(c)[c != 0]
+    return steps
 
 
 GROUP = 256
@@ -50,24 +55,24 @@ GROUP = 256
 class Cells:
     """The cells of a domain of `shape` voxels."""
 
-    def __init__(self, shape):
+    def __init__(self, shape: Sequence[int]) -> None:
         self.shape = nx, ny, nz = tuple(shape)
         self.row, self.plane = nz + 2, (ny + 2) * (nz + 2)
         self.first = self.plane + self.row + 1  # the first voxel's
         self.count = -(-((nx + 2) * self.plane) // GROUP) * GROUP
         self.steps = MOVING @ (self.plane, self.row, 1)  # to each neighbour
 
-    def is_inside(self):
+    def is_inside(self) -> Booleans:
         """(count,) bool, which cells are voxels of the domain."""
         return self.flat(np.ones(self.shape, bool), False)
 
-    def flat(self, values, outside=0):
-        """(..., count) of values (..., nx, ny, nz), and of what is outside."""
+    def flat(self, values: Array, outside: Any = 0) -> Array:
+        """(..., count) of values (..., nx, ny, nz), and of a value outside."""
         cells = np.full((*values.shape[:-3], self.count), outside, values.dtype)
         self.inside(cells)[...] = values
         return cells
 
-    def inside(self, cells):
+    def inside(self, cells: Array) -> Array:
         """(..., nx, ny, nz), the part of (..., count) in the domain: a view."""
         wide = [n + 2 for n in self.shape]
         used = cells[..., : wide[0] * self.plane].reshape(*cells.shape[:-1], *wide)

@@ -48,7 +48,7 @@ class Level:
     @property
     def is_coarsest(self) -> bool:
         """Whether no coarser lattice would help."""
-        return max(self.depth.shape) <= _SMALLEST
+        return int(max(self.depth.shape)) <= _SMALLEST
 
     @cached_property
     def coarser(self) -> "Level":

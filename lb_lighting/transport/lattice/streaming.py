@@ -2,15 +2,20 @@
 """Light that has left the box of all matter, streamed on through the rest of the domain.
 
 Outside of the box light never collides, and what has left along a direction of the lattice never
-comes back. So it is carried on once, at last.
+comes back. So it is streamed once, at the end.
 """
+
+from typing import Any
 
 import numpy as np
 
+from ...arrays import Floats, Integers
+from ..backend import Lattice
+from ..box import Box
 from .layout import LENGTHS, MOVING
 
 
-def stream_on(lattice, box, scale, fluence, flux):
+def stream_on(lattice: Lattice, box: Box, scale: float, fluence: Floats, flux: Floats) -> Floats:
     """Carry the light that leaves the lattice of a box on through the domain.
 
     It is added, scale times, to fluence (nx, ny, nz) and flux (3, nx, ny, nz), which are the
@@ -38,7 +43,7 @@ class _Leaving:
     light  (rows, ...), or without a diagonal (...)
     """
 
-    def __init__(self, leaving, box, c, axes):
+    def __init__(self, leaving: Floats, box: Box, c: Integers, axes: Integers) -> None:
         self.c, self.axes, self.diagonal = c, axes, len(axes) > 1
         ends = [
             (n - b, n - a, n) if step < 0 else (a, b, n)
@@ -56,12 +61,12 @@ class _Leaving:
         if self.diagonal:
             self.light = np.concatenate([self.light, leaving[-2::-1, -1]])
 
-    def _turned(self, grid):
-        flipped = np.flip(grid, np.flatnonzero(self.c < 0))
+    def _turned(self, grid: Floats) -> Floats:
+        flipped = np.flip(grid, tuple(map(int, np.flatnonzero(self.c < 0))))
         return np.moveaxis(flipped, self.axes, range(len(self.axes)))
 
-    def add_to(self, grid, factor):
-        """Add it, times a factor, to a grid (nx, ny, nz) wherever it comes by."""
+    def add_to(self, grid: Floats, factor: float) -> None:
+        """Add it, times a factor, to a grid (nx, ny, nz) along its way."""
         grid, light = self._turned(grid[self.beside]), self.light * factor
         if not self.diagonal:
             grid[self.end :] += light
@@ -74,7 +79,7 @@ class _Leaving:
             if first < last:
                 grid[plane, row + first : row + last] += light[first:last]
 
-    def left(self):
+    def left(self) -> Any:
         """What leaves the domain, by axis."""
         light = self.light.reshape(len(self.light), -1).sum(axis=1, dtype=float)
         if not self.diagonal:
@@ -83,6 +88,6 @@ class _Leaving:
         there = max(self.rows - self._first_row(self.planes - 1), 0)
         return light[:there].sum(), light[there:].sum()
 
-    def _first_row(self, plane):
+    def _first_row(self, plane: int) -> int:
         """Where the first of the light's rows has come to in a plane."""
         return self.row + plane - self.end + 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How finely voxels that are too thick for the lattice have to be divided.
+"""How finely voxels that are too thick for the lattice are divided.
 
 docs/theory/physics.md, "Voxels that are too thick", says what was measured.
 """
@@ -9,6 +9,7 @@ from math import ceil
 import numpy as np
 
 from ...errors import MediumError
+from ..medium import Medium
 
 # Voxels, weighed by what they hold, that are thicker than this are divided: in transport free
 # paths of scattering, and in diffusion lengths of absorption (docs/theory/physics.md says why).
@@ -16,8 +17,8 @@ _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_PIECES = 4
 
 
-def wished_pieces(medium):
-    """(pieces that better the light, pieces without which it would be wrong), along each edge.
+def wished_pieces(medium: Medium) -> tuple[int, int]:
+    """(pieces that improve the light, pieces without which it would be wrong), along each edge.
 
     Depths count by the albedo, the share of light that the lattice carries.
     """
