@@ -134,8 +134,8 @@ class BakeTask(SceneTask):
         """The `Field` of a `Problem`, by the model and on the device of the options."""
         is_paper = self.options.model == "paper"
         medium = paper_units(problem.medium) if is_paper else problem.medium
-        device, monitor = self.options.device or None, {"progress": progress, "residual": residual}
-        return solve(medium, problem.lights, settings, device, **monitor)
+        device = self.options.device or None
+        return solve(medium, problem.lights, settings, device, progress, residual=residual)
 
     def _solve(self, problem: Problem, settings: Settings, send: Send) -> Field:
         """The `Field` of a `Problem`, with light along ordinates, progress and notes."""

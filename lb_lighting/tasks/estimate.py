@@ -36,7 +36,7 @@ class Expected:
     notes          sentences for the user
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     voxel_size: float
     bytes: int
     device: str

@@ -5,15 +5,71 @@ This is the only place that asks which of them a device needs. Their modules are
 OpenCL's need pyopencl.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from functools import cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..arrays import Array, Floats
 from .device import Device
 
+if TYPE_CHECKING:
+    from .lattice.lattice_numpy import Source
+    from .medium import Medium
+
+
+class Lattice(Protocol):
+    """A lattice of the physical model; `lattice_numpy.NumpyLattice` documents the members."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(nx, ny, nz) voxels."""
+
+    def start(self, source: Source) -> None:
+        """Remove all light, and set the source."""
+
+    def start_as_coarser(self) -> None:
+        """Remove all light, and wait for the residual of a finer lattice."""
+
+    def advance(self, steps: int) -> None:
+        """Take a number of steps."""
+
+    def restrict(self, coarser: Any, factor: float) -> None:
+        """Add to the source of a coarser lattice a factor times the light that flowed last."""
+
+    def prolongate(self, coarser: Any, factor: float) -> None:
+        """Add a factor times the light of a coarser lattice."""
+
+    def fluence(self, every: int = 1) -> Floats:
+        """(nx, ny, nz) W/m^2, of every n-th layer along x."""
+
+    def flux(self) -> Floats:
+        """(3, nx, ny, nz) W/m^2."""
+
+    def leaving(self) -> Iterator[Floats]:
+        """For each direction the light that leaves each voxel, (nx, ny, nz) W/m^2."""
+
+    def lost(self) -> tuple[Floats, float]:
+        """(light that leaves through each face (6,), light that opaque voxels absorb)."""
+
+
+class PaperLattice(Protocol):
+    """The lattice of paper 1; `paper_numpy.PaperReference` documents the members."""
+
+    def start(self, inflow: Floats, omega: Floats) -> None:
+        """Set the light that enters by direction, (19,), and the collision matrix (19, 19)."""
+
+    def advance(self, steps: int) -> None:
+        """Take a number of steps."""
+
+    def read(self, previous: bool = False) -> AbstractContextManager[Floats]:
+        """The light, or that of one step before, (19, nx, ny, nz), as a context."""
+
 
 class Backend(Protocol):
-    """What makes the objects that compute on one device.
+    """Makes the objects that compute on one device.
 
     Objects of the two backends take the same calls and return the same quantities; the classes of
     the NumPy backend document them.
@@ -25,19 +81,19 @@ class Backend(Protocol):
         albedo: float,
         g: float,
         occlusion: Floats | None = None,
-        occlusion_albedo: Any = 0.0,
+        occlusion_albedo: Floats | float = 0.0,
         edge: float | None = None,
-    ) -> Any:
+    ) -> Lattice:
         """A lattice of the physical model; see `lattice_numpy.NumpyLattice`."""
 
-    def lattice_memory(self, shape: tuple[int, ...], occluded: bool) -> dict[str, int]:
+    def lattice_memory(self, shape: Sequence[int], occluded: bool) -> dict[str, int]:
         """{what: bytes} of the device's memory for such a lattice and all coarser ones."""
 
     def sweep(self, turn: Any, voxels: Any, directed: bool) -> Any:
         """Beams of parallel light, tallied; see `sweep.NumpySweep`."""
 
     def glow(self, turn: Any, depth: Floats) -> Any:
-        """Beams that take up a source of their own; see `sweep.NumpyGlow`."""
+        """Beams with a source along their way; see `sweep.NumpyGlow`."""
 
     def march(self, voxels: Any) -> Any:
         """Rays followed one by one; see `march.NumpyMarch`."""
@@ -51,10 +107,10 @@ class Backend(Protocol):
     def least_corners(self, problem: Any) -> Floats:
         """The least trilinear majorants of super-voxels; see `majorants_numpy.least_corners`."""
 
-    def paper_lattice(self, medium: Any, keep_absorbed: bool, kernel: str) -> Any:
+    def paper_lattice(self, medium: Medium, keep_absorbed: bool, kernel: str) -> PaperLattice:
         """The lattice of paper 1; see `paper_numpy.PaperReference`."""
 
-    def paper_memory(self, shape: tuple[int, ...], kernel: str, occluded: bool) -> dict[str, int]:
+    def paper_memory(self, shape: Sequence[int], kernel: str, occluded: bool) -> dict[str, int]:
         """{what: bytes} of the device's memory for that."""
 
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The backend in NumPy float64: the oracle of the kernels, and the solver without OpenCL."""
 
+from collections.abc import Sequence
+
 from .lattice.lattice_numpy import NumpyLattice
+from .medium import Medium
 from .paper.paper_numpy import PaperReference
 from .photons.majorants_numpy import least_corners
 from .photons.paths_numpy import NumpyPaths
@@ -23,9 +26,9 @@ class NumpyBackend:
     least_corners = staticmethod(least_corners)
 
     @staticmethod
-    def paper_lattice(medium, keep_absorbed, kernel):
+    def paper_lattice(medium: Medium, keep_absorbed: bool, kernel: str) -> PaperReference:
         return PaperReference(medium, keep_absorbed)  # it has no kernels to choose from
 
     @staticmethod
-    def paper_memory(shape, kernel, occluded):
+    def paper_memory(shape: Sequence[int], kernel: str, occluded: bool) -> dict[str, int]:
         return PaperReference.buffers(shape, occluded)

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The backend on an OpenCL device, in float32. Importing this module needs pyopencl."""
 
+from typing import Any
+
+from ..arrays import Array, Floats
 from .device import Device
 from .lattice.lattice_opencl import OpenclLattice
+from .medium import Medium
 from .paper.paper_opencl import PaperLattice
 from .photons.majorants_opencl import least_corners
 from .photons.paths_opencl import OpenclPaths
@@ -17,29 +21,37 @@ class OpenclBackend:
     lattice_memory = staticmethod(OpenclLattice.buffers)
     paper_memory = staticmethod(PaperLattice.buffers)
 
-    def __init__(self, device: Device):
+    def __init__(self, device: Device) -> None:
         self.device = device
 
-    def lattice(self, depth, albedo, g, occlusion=None, occlusion_albedo=0.0, edge=None):
+    def lattice(
+        self,
+        depth: Floats,
+        albedo: float,
+        g: float,
+        occlusion: Floats | None = None,
+        occlusion_albedo: Floats | float = 0.0,
+        edge: float | None = None,
+    ) -> OpenclLattice:
         return OpenclLattice(depth, albedo, g, occlusion, occlusion_albedo, self.device, edge)
 
-    def sweep(self, turn, voxels, directed):
+    def sweep(self, turn: Any, voxels: Any, directed: bool) -> OpenclSweep:
         return OpenclSweep(turn, voxels, directed, self.device)
 
-    def glow(self, turn, depth):
+    def glow(self, turn: Any, depth: Floats) -> OpenclGlow:
         return OpenclGlow(turn, depth, self.device)
 
-    def march(self, voxels):
+    def march(self, voxels: Any) -> OpenclMarch:
         return OpenclMarch(self.device, voxels)
 
-    def paths(self, grid):
+    def paths(self, grid: Any) -> OpenclPaths:
         return OpenclPaths(grid, self.device)
 
-    def eye(self, grid, lights, emission, opaque):
+    def eye(self, grid: Any, lights: Array, emission: Array | None, opaque: Any) -> OpenclEye:
         return OpenclEye(grid, self.device, lights, emission, opaque)
 
-    def least_corners(self, problem):
+    def least_corners(self, problem: Any) -> Floats:
         return least_corners(problem, self.device)
 
-    def paper_lattice(self, medium, keep_absorbed, kernel):
+    def paper_lattice(self, medium: Medium, keep_absorbed: bool, kernel: str) -> PaperLattice:
         return PaperLattice(medium, keep_absorbed, self.device, kernel)

@@ -1,59 +1,74 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which bands are solved, for which lights, and which of them at once."""
+"""Which bands are solved, for which lights, and which of them share their rays.
 
+A band whose light is a multiple of another one's is not solved: its multiples are
+{band: factor}, of a solved band, which is one of them.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from ..arrays import Floats
 from .lights.base import multiple, same
+from .medium import Medium
+
+type Multiples = dict[int, float]
+type Problem = tuple[int, Multiples, list[int]]  # band to solve, its multiples, numbers of lights
+type Group = tuple[list[int], dict[int, Multiples], bool]
 
 
-def distinct(medium, lights):
-    """[(band to solve, {band: its multiple})]: bands that are multiples are solved once."""
-    runs = []
+def distinct(medium: Medium, lights: Sequence[Any]) -> list[tuple[int, Multiples]]:
+    """[(band to solve, its multiples)]: bands that are multiples of each other are solved once."""
+    bands: list[tuple[int, Multiples]] = []
     for band in range(medium.bands):
-        for base, multiples in runs:
+        for base, multiples in bands:
             factor = multiple(lights, medium, band, base)
             if factor is not None and medium.alike(band, base):
                 multiples[band] = factor
                 break
         else:
-            runs.append((band, {band: 1.0}))
-    return runs
+            bands.append((band, {band: 1.0}))
+    return bands
 
 
-def runs_of(medium, lights, apart):
-    """[(band to solve, {band: its multiple}, numbers of its lights)].
+def bands_to_solve(medium: Medium, lights: Sequence[Any], apart: bool) -> list[Problem]:
+    """[(band to solve, its multiples, numbers of its lights)].
 
-    apart  whether lights may be solved apart: in a grey medium each is then solved once, whatever
-           its colour, and not once in each band
+    apart  whether each light may be solved alone: in a grey medium it is then solved in one band,
+           whatever its colour, instead of in all bands
     """
-    everything = list(range(len(lights)))
+    numbers = list(range(len(lights)))
     if not apart:
-        return [(band, multiples, everything) for band, multiples in distinct(medium, lights)]
-    runs = []
-    for number in everything:
+        return [(band, multiples, numbers) for band, multiples in distinct(medium, lights)]
+    problems: list[Problem] = []
+    for number in numbers:
         for band, multiples in distinct(medium, [lights[number]]):
-            for alike, others, numbers in runs:
-                if (alike, others) == (band, multiples):
-                    numbers.append(number)
+            for other, other_multiples, its_lights in problems:
+                if (other, other_multiples) == (band, multiples):
+                    its_lights.append(number)
                     break
             else:
-                runs.append((band, multiples, [number]))
-    return runs
+                problems.append((band, multiples, [number]))
+    return problems
 
 
-def together(runs, sigma_t):
-    """[(numbers of lights, {band: its multiples}, whether nothing has lit the bands before)]: runs
-    after each other that may share rays.
+def group_by_extinction(problems: Iterable[Problem], sigma_t: Floats) -> list[Group]:
+    """[(numbers of lights, {band: its multiples}, whether the bands are lit for the first time)]:
+    successive bands that may share rays.
 
-    These are of the same lights and one extinction. A band that was lit before takes memory of its
-    own, and so is alone.
+    These have the same lights and the same extinction. A band that was lit before needs memory of
+    its own, and so is alone in its group.
     """
-    found, lit_before = [], set()
-    for band, multiples, numbers in runs:
-        is_new = band not in lit_before
-        lit_before |= set(multiples)
-        if found and is_new:
-            others, bands, are_new = found[-1]
-            if are_new and others == numbers and same(sigma_t[band], sigma_t[next(iter(bands))]):
+    groups: list[Group] = []
+    lit: set[int] = set()
+    for band, multiples, numbers in problems:
+        is_new = band not in lit
+        lit |= set(multiples)
+        if groups and is_new:
+            other_numbers, bands, are_new = groups[-1]
+            has_same_lights = are_new and other_numbers == numbers
+            if has_same_lights and same(sigma_t[band], sigma_t[next(iter(bands))]):
                 bands[band] = multiples
                 continue
-        found.append((numbers, {band: multiples}, is_new))
-    return found
+        groups.append((numbers, {band: multiples}, is_new))
+    return groups

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The box of a domain that holds all its matter: the lattice reaches no further."""
+"""The box of a domain that holds all its matter: the lattice covers nothing else."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-# Voxels around matter that still tell of it: in the next ones light meets what is opaque, or comes
-# back where a medium ends; in those behind them lies what `boundary.reflection` takes the mean of.
+from ..arrays import Array
+from .medium import Medium
+
+# Layers of empty voxels around matter in the box: in the first one light meets opaque voxels
+# or is reflected where a medium ends; `boundary_reflection` averages over the second.
 _MARGIN = 2
 
 
@@ -14,46 +19,53 @@ _MARGIN = 2
 class Box:
     """The voxels from `lower` to before `upper` of a domain of `whole` voxels, each (3,) int."""
 
-    lower: tuple
-    upper: tuple
-    whole: tuple
+    lower: tuple[int, ...]
+    upper: tuple[int, ...]
+    whole: tuple[int, ...]
 
     @classmethod
-    def around(cls, grids):
+    def around(cls, grids: Sequence[Array]) -> "Box":
         """All that is above 0 in any of the grids (nx, ny, nz), and a margin; the domain where
         there is nothing."""
         whole = grids[0].shape
         ends = [_ends(grids, axis, n) for axis, n in enumerate(whole)]
-        return cls.all(whole) if None in ends else cls(*zip(*ends, strict=True), whole)
+        filled = [end for end in ends if end is not None]
+        if len(filled) < len(ends):
+            return cls.all(whole)
+        lower, upper = zip(*filled, strict=True)
+        return cls(lower, upper, whole)
 
     @classmethod
-    def all(cls, shape):
+    def all(cls, shape: Sequence[int]) -> "Box":
+        """The whole domain of a shape."""
         return cls((0, 0, 0), tuple(shape), tuple(shape))
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
+        """(nx, ny, nz) voxels of the box."""
         return tuple(b - a for a, b in zip(self.lower, self.upper, strict=True))
 
     @property
-    def is_whole(self):
+    def is_whole(self) -> bool:
+        """Whether it is the whole domain."""
         return self.shape == self.whole
 
-    def of(self, grid):
-        """The part of a grid (..., nx, ny, nz) in the box, a view; of anything else all."""
+    def of(self, grid: Any) -> Any:
+        """The part of a grid (..., nx, ny, nz) in the box, a view; anything else as it is."""
         if np.ndim(grid) < 3:
             return grid
         return grid[..., *map(slice, self.lower, self.upper)]
 
 
-def matter(medium, lights):
-    """The `Box` of all that light may collide with, and of all that shines."""
+def matter(medium: Medium, lights: Sequence[Any]) -> Box:
+    """The `Box` of everything that light may collide with and of all emission."""
     shadows = [light.shadow_density for light in lights]
     emission = None if medium.emission is None else medium.emission.sum(axis=0)
     grids = (medium.density, medium.occlusion, emission, *shadows)
     return Box.around([grid for grid in grids if grid is not None])
 
 
-def _ends(grids, axis, n):
+def _ends(grids: Sequence[Array], axis: int, n: int) -> tuple[int, int] | None:
     """(first, end) along an axis; None where there is nothing."""
     across = tuple(other for other in range(3) if other != axis)
     filled = np.flatnonzero(np.any([grid.any(axis=across) for grid in grids], axis=0))

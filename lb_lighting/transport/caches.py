@@ -15,10 +15,10 @@ from pathlib import Path
 NO_CACHE = "LB_LIGHTING_NO_CACHE"  # in the environment: nothing that was kept before is used
 _DIGEST = hashlib.sha256().digest_size
 _ROOM = 2**25  # bytes that drivers may well write
-_temporary = []  # folders, as long as the process
+_temporary: list[tempfile.TemporaryDirectory[str]] = []  # folders, as long as the process
 
 
-def prepare_drivers():
+def prepare_drivers() -> None:
     """Give drivers a temporary folder in place of one that takes no files.
 
     Some drivers (PoCL) are not there at all, or end the process, where they cannot keep what they
@@ -33,12 +33,12 @@ def prepare_drivers():
         os.environ.update(XDG_CACHE_HOME=folder.name, POCL_CACHE_DIR=str(pocl))
 
 
-def key(*parts):
+def key(*parts: str) -> str:
     """The name under which a program is kept that `parts`, texts, determine."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def find(name):
+def find(name: str) -> bytes | None:
     """The bytes that `keep` kept under a name, or None where there are none that are whole."""
     if NO_CACHE in os.environ:
         return None
@@ -50,7 +50,7 @@ def find(name):
     return binary if hashlib.sha256(binary).digest() == digest else None
 
 
-def keep(name, binary):
+def keep(name: str, binary: bytes) -> None:
     """Keep bytes under a name, if that is possible."""
     path = _path(name)
     if not path.is_absolute():  # of a user without a home
@@ -66,17 +66,17 @@ def keep(name, binary):
             os.unlink(half)
 
 
-def _path(name):
+def _path(name: str) -> Path:
     return _home() / "lb_lighting" / "programs" / name
 
 
-def _home():
+def _home() -> Path:
     """The folder of the user's caches; a relative path where the user has no home."""
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")  # as on Windows
     return Path(chosen or os.path.expanduser("~/.cache"))
 
 
-def _takes_files(folder):
+def _takes_files(folder: Path) -> bool:
     """Whether files can be written in a folder, or in the one where it would be made."""
     if not folder.is_absolute():  # of a user without a home
         return False

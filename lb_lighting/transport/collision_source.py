@@ -15,7 +15,7 @@ from .box import Box
 from .context import Context
 from .field import Field
 from .lattice.lattice_numpy import Source
-from .lights.base import by_band
+from .lights.base import Light, by_band
 from .lights.distant import Sky
 from .lights.sampling import face_areas
 from .medium import Medium
@@ -71,7 +71,7 @@ class CollisionSource:
 def count_first_collisions(
     medium: Medium,
     box: Box,
-    lights: Sequence[object],
+    lights: Sequence[Light],
     lit: Mapping[int, BandLight],
     context: Context,
 ) -> None:
@@ -92,7 +92,7 @@ def count_first_collisions(
 def first_collisions(
     medium: Medium,
     box: Box,
-    lights: Sequence[object],
+    lights: Sequence[Light],
     lit: Mapping[int, BandLight],
     context: Context,
 ) -> dict[int, CollisionSource]:
@@ -112,7 +112,7 @@ def first_collisions(
 def last_collisions(
     medium: Medium,
     box: Box,
-    lights: Sequence[object],
+    lights: Sequence[Light],
     traced: Field,
     lit: Mapping[int, BandLight],
     context: Context,
@@ -134,7 +134,7 @@ def last_collisions(
 
 
 def _each_light(
-    medium: Medium, box: Box, lights: Sequence[object], context: Context
+    medium: Medium, box: Box, lights: Sequence[Light], context: Context
 ) -> Iterator[tuple[int, Rays]]:
     """(number of its light, `Rays`) of each part of the lights, one at a time: casts take much
     memory."""
@@ -178,6 +178,8 @@ def _add_missing(
     white medium is exact, and a bright one leaves little to the lattice.
     """
     medium = rays.medium
+    assert isinstance(rays.light, Sky)
+    assert not callable(rays.light.radiance)
     radiance = float(by_band(rays.light.radiance, medium.bands)[band])
     # Anything above this is an error of the rays, and would make scattered light negative.
     np.minimum(uncollided.direct, 4 * np.pi * radiance, out=uncollided.direct)

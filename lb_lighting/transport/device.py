@@ -4,25 +4,31 @@
 pyopencl is imported on demand, so that this module also loads where it is not installed.
 """
 
+import logging
 import os
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 
+from ..arrays import Array
 from ..errors import DeviceError
 from . import caches
 
 WITHOUT_OPENCL = "LB_LIGHTING_WITHOUT_OPENCL"  # in the environment: a sentence that says why
 
-troubles = []  # sentences about devices that should be there but cannot be used
-# What drivers are loaded in: they can end a process, or never return.
-loading: Callable[[], AbstractContextManager[None]] = nullcontext
+troubles: list[str] = []  # sentences about devices that should be there but cannot be used
+# The context that drivers are loaded in: they can end a process, or never return.
+loading: Callable[[], AbstractContextManager[Any]] = nullcontext
+
+_log = logging.getLogger(__name__)  # quiet by default: nothing here is above INFO
 
 _SOURCES = Path(__file__).parent.parent / "kernels"
 _BEST_FIRST = ("GPU", "ACCELERATOR", "CPU")
@@ -48,25 +54,27 @@ class Device:
     largest_buffer: int
 
     @property
-    def is_numpy(self):
+    def is_numpy(self) -> bool:
         """Whether it is the machine's processor, by NumPy."""
         return self.kind == "NumPy"
 
     @property
-    def shares_memory(self):
+    def shares_memory(self) -> bool:
         """Whether the arrays of the host take from the same memory."""
         return self.kind in ("CPU", "NumPy")
 
     @property
-    def label(self):
+    def label(self) -> str:
+        """The name that the user sees and chooses by."""
         return self.name if self.is_numpy else f"{self.name} [{self.platform}]"
 
     @property
-    def line(self):
+    def line(self) -> str:
+        """The label with kind and memory."""
         return f"{self.label}: {self.kind}, {self.memory / 2**30:.1f} GiB"
 
 
-def _available_memory():
+def _available_memory() -> int:
     """Bytes of the machine's memory that are free now, or its best guess where none is told."""
     try:
         with open("/proc/meminfo") as lines:
@@ -80,24 +88,26 @@ def _available_memory():
         return 2**63  # not told (Windows): the allocation itself will have to fail
 
 
-def numpy_device():
+def numpy_device() -> Device:
     """The fallback that is always there."""
     memory = _available_memory()
     return Device("NumPy (no OpenCL)", "NumPy", "NumPy", memory, memory)
 
 
 @cache
-def _opencl():
+def _opencl() -> dict[Device, Any]:
     """{Device: pyopencl device}, the fastest kind first; empty where there is no OpenCL."""
     if WITHOUT_OPENCL in os.environ:
         troubles.append(os.environ[WITHOUT_OPENCL])
         return {}
     with loading():
-        found = dict(_load())
-    return dict(sorted(found.items(), key=lambda item: _BEST_FIRST.index(item[0].kind)))
+        handles = dict(_load())
+    for device in handles:
+        _log.info("Found %s", device.line)
+    return dict(sorted(handles.items(), key=lambda item: _BEST_FIRST.index(item[0].kind)))
 
 
-def _load():
+def _load() -> Iterator[tuple[Device, Any]]:
     """Load all drivers; yield (`Device`, pyopencl device) for each that can solve."""
     caches.prepare_drivers()
     # Its own caches raise errors where a file is damaged, and wait for locks of ended processes.
@@ -125,7 +135,7 @@ def _load():
                 troubles.append(f"A device of {platform.name} cannot be used ({error}).")
 
 
-def _describe(platform, handle):
+def _describe(platform: Any, handle: Any) -> Device:
     import pyopencl as cl
 
     kinds = {cl.device_type.GPU: "GPU", cl.device_type.CPU: "CPU"}
@@ -142,12 +152,12 @@ def _describe(platform, handle):
     )
 
 
-def devices():
+def devices() -> list[Device]:
     """Every device that can solve, the one chosen by default first, NumPy last."""
     return [*_opencl(), numpy_device()]
 
 
-def choose(wanted=None):
+def choose(wanted: Device | str | None = None) -> Device:
     """The device that `wanted` names: None, a `Device`, or part of a label, case ignored.
 
     None takes the first of `devices()` that can be opened. A name that begins like NumPy's loads
@@ -168,11 +178,11 @@ def choose(wanted=None):
     raise DeviceError(" ".join([*troubles, missing]))
 
 
-def _is_called(device, wanted):
+def _is_called(device: Device, wanted: str) -> bool:
     return wanted.casefold() in device.label.casefold()
 
 
-def _opens(device):
+def _opens(device: Device) -> bool:
     """Whether an OpenCL device can be used; if not, `troubles` says so."""
     try:
         context(device)
@@ -184,7 +194,7 @@ def _opens(device):
 
 
 @cache
-def context(device):
+def context(device: Device) -> Any:
     """The context of an OpenCL device, one a process. DeviceError where it does not open."""
     import pyopencl as cl
 
@@ -201,7 +211,7 @@ def context(device):
 
 
 @cache
-def queue(device):
+def queue(device: Device) -> Any:
     """The command queue of an OpenCL device, one a process."""
     import pyopencl as cl
 
@@ -209,7 +219,7 @@ def queue(device):
 
 
 @cache
-def program(device, sources, defines):
+def program(device: Device, sources: str | tuple[str, ...], defines: tuple[str, ...]) -> Any:
     """A built program, kept for the process, and on disk for later ones.
 
     sources  name of a file in kernels/, or names of files to be built as one
@@ -224,7 +234,12 @@ def program(device, sources, defines):
         with warnings.catch_warnings():
             # Drivers chat about how well they optimized; errors come as exceptions.
             warnings.simplefilter("ignore", cl.CompilerWarning)
-            return _kept(device, text, options) or _built(device, text, options)
+            start = perf_counter()
+            kept = _kept(device, text, options)
+            built = kept or _built(device, text, options)
+            origin = "loaded from the cache" if kept else "built"
+            _log.info("%s: %s in %.2f s", ", ".join(names), origin, perf_counter() - start)
+            return built
     except cl.Error as error:
         raise DeviceError(
             f"{device.label} cannot build {', '.join(names)}; update its driver or choose another "
@@ -232,7 +247,7 @@ def program(device, sources, defines):
         ) from error
 
 
-def _kept(device, text, options):
+def _kept(device: Device, text: str, options: Sequence[str]) -> Any:
     """The program as it was built before, or None."""
     import pyopencl as cl
 
@@ -242,7 +257,7 @@ def _kept(device, text, options):
     return _usable(cl.Program(context(device), context(device).devices, [binary]), options)
 
 
-def _built(device, text, options):
+def _built(device: Device, text: str, options: Sequence[str]) -> Any:
     """The program, built from its text. Raises pyopencl.Error where that is impossible."""
     import pyopencl as cl
     from pyopencl.characterize import has_src_build_cache
@@ -258,7 +273,7 @@ def _built(device, text, options):
     return built
 
 
-def _usable(program, options):
+def _usable(program: Any, options: Sequence[str]) -> Any:
     """A program once it is built, or None where it does not build or has no kernels."""
     import pyopencl as cl
 
@@ -269,12 +284,12 @@ def _usable(program, options):
         return None
 
 
-def _key(device, text, options):
+def _key(device: Device, text: str, options: Sequence[str]) -> str:
     handle = context(device).devices[0]
     return caches.key(device.label, handle.version, handle.driver_version, *options, text)
 
 
-def upload(queue, values, kind=np.float32):
+def upload(queue: Any, values: Array, kind: Any = np.float32) -> Any:
     """A buffer that holds values, as numbers of a kind, for kernels to read.
 
     OpenCL has no empty buffers: without values it holds one that nothing reads.
@@ -286,7 +301,7 @@ def upload(queue, values, kind=np.float32):
     return cl.Buffer(queue.context, flags, hostbuf=held)
 
 
-def zeros(queue, size):
+def zeros(queue: Any, size: int) -> Any:
     """A buffer of `size` bytes, all zero."""
     import pyopencl as cl
 

@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a solver returns: light in every voxel, and how it was found."""
+"""The result of a solver: light in every voxel, and a report of the solve."""
 
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
+from ..arrays import Floats
 from .medium import Domain
 
 
 @dataclass
 class Report:
-    """How a field was found.
+    """A report of a solve.
 
     model     which model solved it
     device    the device that ran, as shown to the user
     steps     lattice steps taken
-    corrections  how often coarser lattices were asked for help
+    corrections  by coarser lattices
     residual  of the lattice's light, relative (L2), the largest of the bands: the error that
               stopping leaves, as estimated; in the paper's model its change in the last step
     seconds   {stage: seconds}
@@ -35,16 +38,16 @@ class Report:
     steps: int = 0
     corrections: int = 0
     residual: float = 0.0
-    seconds: dict = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
     bytes: int = 0
     runs: int = 0
     converged: bool = True
-    energy: dict = field(default_factory=dict)
+    energy: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
 class PhotonReport(Report):
-    """How a field was found by tracing photons.
+    """A report of tracing photons.
 
     photons     how many were traced
     lost        how many were given up after too many steps
@@ -54,17 +57,17 @@ class PhotonReport(Report):
 
     photons: int = 0
     lost: int = 0
-    collisions: np.ndarray | None = None
+    collisions: Floats | None = None
 
 
 class Clock:
     """Adds up seconds by stage."""
 
-    def __init__(self):
-        self.seconds = {}
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def __call__(self, stage):
+    def __call__(self, stage: str) -> Iterator[None]:
         start = perf_counter()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - start
@@ -72,19 +75,19 @@ class Clock:
 
 @dataclass
 class Handed:
-    """Light that a tracer hands over, by the voxel of the collision at which it stops.
+    """The collision source of a trace, by the voxel of the collision at which photons stop.
 
     power      (bands, nx, ny, nz) W, of the photons after that collision
     position   (bands, 3, nx, ny, nz) W m, power times the place from the voxel's centre
     direction  (bands, 3, nx, ny, nz) W, power times the unit direction before the collision
     """
 
-    power: np.ndarray
-    position: np.ndarray
-    direction: np.ndarray
+    power: Floats
+    position: Floats
+    direction: Floats
 
     @classmethod
-    def empty(cls, bands, shape):
+    def empty(cls, bands: int, shape: Sequence[int]) -> "Handed":
         return cls(
             np.zeros((bands, *shape), np.float32),
             np.zeros((bands, 3, *shape), np.float32),
@@ -104,13 +107,15 @@ class ScatteringMoments:
     iterations  of the source iteration
     """
 
-    moments: np.ndarray
-    lobes: np.ndarray
-    g: np.ndarray
+    moments: Floats
+    lobes: Floats
+    g: Floats
     iterations: int
 
     @classmethod
-    def dark(cls, bands, beams, shape, iterations):
+    def dark(
+        cls, bands: int, beams: int, shape: Sequence[int], iterations: int
+    ) -> "ScatteringMoments":
         return cls(
             np.zeros((bands, 9, *shape), np.float32),
             np.zeros((beams, bands, *shape), np.float32),
@@ -140,24 +145,25 @@ class Field:
     """
 
     domain: Domain
-    fluence: np.ndarray
-    direct: np.ndarray
-    flux: np.ndarray | None
+    fluence: Floats
+    direct: Floats
+    flux: Floats | None
     report: Report
-    variance: np.ndarray | None = None
+    variance: Floats | None = None
     handed: Handed | None = None
-    by_light: np.ndarray | None = None
-    direct_flux: np.ndarray | None = None
-    forward: np.ndarray | None = None
+    by_light: Floats | None = None
+    direct_flux: Floats | None = None
+    forward: Floats | None = None
     scattered: ScatteringMoments | None = None
 
-    def with_unscattered(self):
+    def with_unscattered(self) -> "Field":
         """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""
         if self.direct_flux is None:
             return self
+        assert self.flux is not None
         fluence, flux = self.fluence + self.direct, self.flux + self.direct_flux
         return replace(self, fluence=fluence, flux=flux)
 
-    def mean_radiance(self):
+    def mean_radiance(self) -> Floats:
         """(bands, nx, ny, nz) W/(m^2 sr): all light, averaged over directions."""
         return (self.fluence + self.direct) / np.float32(4 * np.pi)

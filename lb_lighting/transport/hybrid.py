@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import DeviceError, LightError
 from .backend import backend_of
 from .band_light import BandLight, dark_field
-from .bands import runs_of, together
+from .bands import bands_to_solve, group_by_extinction
 from .box import Box, matter
 from .collision_source import (
     count_first_collisions,
@@ -100,14 +100,14 @@ def _solve_bands(medium: Medium, lights: Sequence[Any], context: Context) -> Fie
     settings = context.settings
     sources = list(lights) if medium.emission is None else [*lights, Emission(medium)]
     last = 1 if context.is_single else _last_collision(medium, settings)
-    bands, box = runs_of(medium, sources, apart=last == 1), matter(medium, lights)
+    bands, box = bands_to_solve(medium, sources, apart=last == 1), matter(medium, lights)
     traced = _trace(medium, lights, last, context) if last > 1 else None
     begin = _TRACING if traced else 0.0
     remaining = 1 - begin
 
     field = dark_field(medium, len(lights), context.device.label)
     field.report.runs = len(bands)
-    for numbers, group, are_new in together(bands, medium.sigma_t):
+    for numbers, group, are_new in group_by_extinction(bands, medium.sigma_t):
         share = remaining * len(group) / len(bands)
         lit = {band: BandLight.dark(field, band, numbers, in_place=are_new) for band in group}
         shining = [sources[number] for number in numbers]

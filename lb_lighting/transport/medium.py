@@ -6,9 +6,12 @@
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..arrays import Floats, Spectrum, Vector
 from ..errors import MediumError
 
 LARGEST = float(np.finfo(np.float32).max)  # of any quantity: devices compute in float32
@@ -25,12 +28,12 @@ class Domain:
     shape       (nx, ny, nz) voxels
     """
 
-    origin: tuple
+    origin: tuple[float, ...]
     voxel_size: float
-    shape: tuple
+    shape: tuple[int, ...]
 
     @classmethod
-    def around(cls, lower, upper, resolution, padding=2):
+    def around(cls, lower: Vector, upper: Vector, resolution: int, padding: int = 2) -> "Domain":
         """The domain that holds the box from `lower` to `upper` (each (3,) m), centred on it.
 
         resolution  voxels along the longest edge, padding included
@@ -55,22 +58,22 @@ class Domain:
         return cls(tuple(map(float, origin)), voxel_size, tuple(map(int, shape)))
 
     @property
-    def upper(self):
+    def upper(self) -> tuple[float, ...]:
         """(3,) m, the corner opposite to `origin`."""
         return tuple(np.add(self.origin, np.multiply(self.shape, self.voxel_size)))
 
     @property
-    def index_to_world(self):
+    def index_to_world(self) -> Floats:
         """(4, 4), m: voxel centres, at integers, to their places in world space."""
         matrix = np.diag([self.voxel_size] * 3 + [1.0])
         matrix[:3, 3] = np.add(self.origin, self.voxel_size / 2)
         return matrix
 
-    def to_index(self, points):
+    def to_index(self, points: Floats) -> Floats:
         """World points (..., 3) m -> continuous voxel coordinates; voxel centres are integers."""
         return (np.asarray(points, float) - self.origin) / self.voxel_size - 0.5
 
-    def centers(self):
+    def centers(self) -> Floats:
         """(nx, ny, nz, 3) m, the voxel centres."""
         axes = [
             o + (np.arange(n) + 0.5) * self.voxel_size
@@ -83,9 +86,9 @@ class Domain:
 class Optics:
     """How a material scatters at density 1: sigma_s, sigma_a (1/m) and g, scalars or by band."""
 
-    sigma_s: tuple | float
-    sigma_a: tuple | float
-    g: tuple | float = 0.0
+    sigma_s: tuple[float, ...] | float
+    sigma_a: tuple[float, ...] | float
+    g: tuple[float, ...] | float = 0.0
 
 
 # The papers' materials: paper 1, section 3.2.1 (cloud), table 1 (plant), table 2 (PMMA).
@@ -98,7 +101,56 @@ PRESETS = {
 }
 
 
-class Medium:
+class BaseMedium:
+    """What all media have: coefficients by band, a place, and voxels that may be computed.
+
+    sigma_s, sigma_a, g  (bands,) float64; sigma_* in 1/m at density 1
+    origin               (3,) m, outer corner of voxel (0, 0, 0)
+    emission             (bands, nx, ny, nz) W/m^3, or None
+    occlusion            (nx, ny, nz), or None
+    occlusion_albedo     (bands,) or (bands, nx, ny, nz); None without occlusion
+    shift                (bands, bands), or None
+    """
+
+    sigma_s: Floats
+    sigma_a: Floats
+    g: Floats
+    voxel_size: float  # m
+    origin: tuple[float, ...]
+    emission: Floats | None = None
+    occlusion: Floats | None = None
+    occlusion_albedo: Any = None
+    shift: Floats | None = None
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return len(self.sigma_s)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(nx, ny, nz) voxels."""
+        raise NotImplementedError
+
+    @property
+    def domain(self) -> Domain:
+        """Where the voxels are."""
+        return Domain(self.origin, self.voxel_size, self.shape)
+
+    @property
+    def sigma_t(self) -> Floats:
+        """(bands,) 1/m, the extinction coefficient at density 1."""
+        return self.sigma_s + self.sigma_a
+
+    @property
+    def albedo(self) -> Floats:
+        """(bands,), the share of collisions that scatter; 0 where nothing collides."""
+        return np.divide(
+            self.sigma_s, self.sigma_t, out=np.zeros(self.bands), where=self.sigma_t > 0
+        )
+
+
+class Medium(BaseMedium):
     """A voxel medium; density is constant within a voxel, and outside is vacuum.
 
     density     (nx, ny, nz), dimensionless multiplier of the coefficients
@@ -123,17 +175,17 @@ class Medium:
 
     def __init__(
         self,
-        density,
-        voxel_size,
-        sigma_s,
-        sigma_a,
-        g=0.0,
-        origin=(0, 0, 0),
-        emission=None,
-        occlusion=None,
-        occlusion_albedo=0.0,
-        shift=None,
-    ):
+        density: ArrayLike,
+        voxel_size: float,
+        sigma_s: Spectrum,
+        sigma_a: Spectrum,
+        g: Spectrum = 0.0,
+        origin: Vector = (0, 0, 0),
+        emission: ArrayLike | None = None,
+        occlusion: ArrayLike | None = None,
+        occlusion_albedo: ArrayLike = 0.0,
+        shift: ArrayLike | None = None,
+    ) -> None:
         self.density = _grid(density, "density")
         self.voxel_size = float(voxel_size)
         if not 0 < self.voxel_size <= LARGEST:
@@ -150,19 +202,19 @@ class Medium:
         self.occlusion_albedo = self._occlusion_albedo(occlusion_albedo)
         self.shift = None if shift is None else self._shift(shift)
 
-    def altered(self, **changes):
+    def altered(self, **changes: Any) -> "Medium":
         """The same medium, with other values for the arguments named."""
-        names = ("density", "voxel_size", "sigma_s", "sigma_a", "g", "origin", "emission")
-        names += ("occlusion", "occlusion_albedo", "shift")
+        names = ["density", "voxel_size", "sigma_s", "sigma_a", "g", "origin", "emission"]
+        names += ["occlusion", "occlusion_albedo", "shift"]
         return Medium(**{name: getattr(self, name) for name in names} | changes)
 
-    def divided(self, pieces):
+    def divided(self, pieces: int) -> "Medium":
         """The same medium, each voxel divided in `pieces` along every edge."""
         grids = ("density", "emission", "occlusion", "occlusion_albedo")
         changes = {name: repeated(getattr(self, name), pieces) for name in grids}
         return self.altered(voxel_size=self.voxel_size / pieces, **changes)
 
-    def merged(self, pieces):
+    def merged(self, pieces: int) -> "Medium":
         """The same medium in voxels `pieces` times as large, each the mean of those in it.
 
         Where the edges do not divide evenly it is larger, by empty voxels.
@@ -177,44 +229,25 @@ class Medium:
                 changes["occlusion_albedo"] = np.minimum(share, 1)
         return self.altered(voxel_size=self.voxel_size * pieces, **changes)
 
-    def depth(self, sigma, box=None):
+    def depth(self, sigma: float | np.floating[Any], box: Any = None) -> Floats:
         """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m.
 
-        At most 1e30, which float32 can still reckon with. With a `crop.Box` of its voxels.
+        At most 1e30, which float32 can still compute with. With a `Box`, of the voxels in it.
         """
         density = self.density if box is None else box.of(self.density)
         return np.minimum((sigma * self.voxel_size) * density.astype(float), DEEPEST)
 
-    def alike(self, band, other):
+    def alike(self, band: int, other: int) -> bool:
         """Whether light of two bands meets the same, but for the medium's emission."""
         values = (self.sigma_s, self.sigma_a, self.g, self.occlusion_albedo)
         return all(np.array_equal(v[band], v[other]) for v in values)
 
     @property
-    def bands(self):
-        return len(self.sigma_s)
-
-    @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
+        """(nx, ny, nz) voxels."""
         return self.density.shape
 
-    @property
-    def domain(self):
-        return Domain(self.origin, self.voxel_size, self.shape)
-
-    @property
-    def sigma_t(self):
-        """(bands,) 1/m, the extinction coefficient at density 1."""
-        return self.sigma_s + self.sigma_a
-
-    @property
-    def albedo(self):
-        """(bands,), the share of collisions that scatter; 0 where nothing collides."""
-        return np.divide(
-            self.sigma_s, self.sigma_t, out=np.zeros(self.bands), where=self.sigma_t > 0
-        )
-
-    def _emission(self, emission):
+    def _emission(self, emission: ArrayLike) -> Floats:
         emission = _float32(emission)
         if emission.shape not in (self.shape, (self.bands, *self.shape)):
             raise MediumError(
@@ -224,7 +257,7 @@ class Medium:
         _refuse_bad_voxels(emission, "emission")
         return np.ascontiguousarray(np.broadcast_to(emission, (self.bands, *self.shape)))
 
-    def _occlusion(self, occlusion):
+    def _occlusion(self, occlusion: ArrayLike) -> Floats:
         occlusion = _grid(occlusion, "occlusion")
         if occlusion.shape != self.shape:
             raise MediumError(
@@ -235,7 +268,7 @@ class Medium:
             raise MediumError(f"The occlusion must be at most 1; it reaches {occlusion.max():g}.")
         return occlusion
 
-    def _occlusion_albedo(self, albedo):
+    def _occlusion_albedo(self, albedo: ArrayLike) -> Floats:
         """(bands,) or (bands, nx, ny, nz) float32."""
         albedo = _float32(albedo)
         if albedo.size == 1:
@@ -249,7 +282,7 @@ class Medium:
             raise MediumError("The occlusion's albedo must lie between 0 and 1 everywhere.")
         return albedo
 
-    def _shift(self, shift):
+    def _shift(self, shift: ArrayLike) -> Floats:
         shift = np.asarray(shift, float)
         if shift.shape != (self.bands, self.bands):
             raise MediumError(
@@ -268,7 +301,7 @@ class Medium:
         return shift
 
 
-def _grid(values, name):
+def _grid(values: ArrayLike, name: str) -> Floats:
     """`values` as a contiguous float32 grid, or a MediumError that says what is wrong with it."""
     values = np.asarray(values)
     if values.ndim != 3 or values.size == 0:
@@ -281,13 +314,13 @@ def _grid(values, name):
     return values
 
 
-def _float32(values):
+def _float32(values: ArrayLike) -> Floats:
     """`values` as a contiguous float32 array, infinite where they are too large for it."""
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(values, np.float32)
 
 
-def _refuse_bad_voxels(values, name):
+def _refuse_bad_voxels(values: Floats, name: str) -> None:
     for bad, what in ((~np.isfinite(values), "not finite"), (values < 0, "negative")):
         count = np.count_nonzero(bad)
         if count:
@@ -298,7 +331,9 @@ def _refuse_bad_voxels(values, name):
             )
 
 
-def optics_by_band(sigma_s, sigma_a, g):
+def optics_by_band(
+    sigma_s: Spectrum, sigma_a: Spectrum, g: Spectrum
+) -> tuple[Floats, Floats, Floats]:
     """The coefficients broadcast to (bands,) float64, refused where they are not physical."""
     named = {
         "sigma_s": np.atleast_1d(np.asarray(sigma_s, float)),
@@ -318,10 +353,11 @@ def optics_by_band(sigma_s, sigma_a, g):
             band = int(np.argmin(good))
             rule = "between -1 and 1" if name == "g" else f"between 0 and {LARGEST:.1e}"
             raise MediumError(f"{name} must be {rule}; in band {band} it is {values[band]}.")
-    return tuple(np.broadcast_to(v, bands).copy() for v in named.values())
+    scattering, absorption, cosine = (np.broadcast_to(v, bands).copy() for v in named.values())
+    return scattering, absorption, cosine
 
 
-def repeated(grid, times):
+def repeated(grid: Any, times: int) -> Any:
     """A grid (..., nx, ny, nz) with each voxel repeated along every edge; others as they are."""
     if np.ndim(grid) >= 3:
         for axis in (-3, -2, -1):
@@ -329,12 +365,12 @@ def repeated(grid, times):
     return grid
 
 
-def deepest(depth):
+def deepest(depth: Floats) -> float:
     """The largest sum of a grid (nx, ny, nz) along a line through it, along any axis."""
     return float(max(depth.sum(axis=axis).max() for axis in range(3)))
 
 
-def merged(grid, pieces):
+def merged(grid: Any, pieces: int) -> Any:
     """A grid (..., nx, ny, nz) of the means of cubes of `pieces` voxels, with zeros behind its end
     where these do not fit; None as it is."""
     if grid is None:
@@ -345,7 +381,7 @@ def merged(grid, pieces):
     return np.pad(grid, behind).reshape(*outer, *split).mean(axis=(-5, -3, -1))
 
 
-def paper_units(medium):
+def paper_units(medium: Medium) -> Medium:
     """The same medium as the paper's lattice reads it: probabilities instead of 1/m.
 
     The paper has no unit of length: sigma x density is the share of light that collides on its

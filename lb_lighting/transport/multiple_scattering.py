@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from ..arrays import Floats
 from ..errors import LightError
 from .backend import backend_of
 from .band_light import BandLight
@@ -58,12 +59,14 @@ def scatter(
     lit.energy["absorbed"] += watts * (absorbed + stopped)
 
 
-def _level(medium, band, source, depth, context) -> Level:
+def _level(
+    medium: Medium, band: int, source: CollisionSource, depth: Floats, context: Context
+) -> Level:
     """The finest level of a lattice for a band, in the box of a source."""
-    opaque = map(source.box.of, (medium.occlusion, medium.occlusion_albedo[band]))
+    occlusion, albedo = map(source.box.of, (medium.occlusion, medium.occlusion_albedo[band]))
     make = backend_of(context.device).lattice
-    edge = max(medium.shape)
-    return Level(make, depth, medium.albedo[band], medium.g[band], *opaque, edge)
+    optics = medium.albedo[band], medium.g[band]
+    return Level(make, depth, *optics, occlusion, albedo, max(medium.shape))
 
 
 def _report_error(error: float, tolerance: float, context: Context) -> None:

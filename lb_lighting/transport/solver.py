@@ -1,16 +1,48 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lattice solve: a medium and its lights go in, a field of light comes out."""
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from ..errors import SettingsError, require_known, require_whole
 from . import device as devices
 from . import hybrid, memory
-from .field import Clock
+from .device import Device
+from .field import Clock, Field
+from .medium import Medium
 from .monitor import Monitor
 from .paper import model as paper
 
-MODELS = {"physical": hybrid, "paper": paper}
+
+class Model(Protocol):
+    """A model of transport: the modules `hybrid` and `paper.model`."""
+
+    def solve(
+        self,
+        medium: Medium,
+        lights: Sequence[Any],
+        settings: "Settings",
+        device: Device,
+        clock: Clock,
+        needed: int,
+        monitor: Monitor,
+    ) -> Field:
+        """As `solve`; needed is the memory of the solve in bytes."""
+
+    def footprint(
+        self,
+        shape: Sequence[int],
+        settings: "Settings",
+        device: Device,
+        bands: int,
+        occluded: bool,
+        lights: int = 4,
+    ) -> memory.Footprint:
+        """The memory of a solve of `shape` voxels for a number of lights."""
+
+
+MODELS: dict[str, Model] = {"physical": hybrid, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
 SCATTERINGS = ("multiple", "single")
 _MOST_RAYS = 16  # times the usual number along an edge: 256 times as many
@@ -26,12 +58,12 @@ class Settings:
                       medium there
 
     Of the physical model:
-    scattering        "multiple", or "single": unscattered light alone, which is what a shader
+    scattering        "multiple", or "single": uncollided light alone, which is what a shader
                       needs to scatter it once; no lattice, and the fluence is 0
-    rays              of unscattered light along a voxel's edge, over the usual number; no fewer
+    rays              of uncollided light along a voxel's edge, over the usual number; no fewer
                       than one are sent
     merge             the voxels along each edge that scattered light is found in as one;
-                      unscattered light keeps the medium's own. Media that shift light between
+                      uncollided light keeps the medium's own. Media that shift light between
                       bands are not merged
     handover          how far light is traced as photons before the lattice takes it over, in
                       transport optical depths: 0 for not at all, infinity for photons alone
@@ -66,13 +98,13 @@ class Settings:
     keep_absorbed: bool = False
     kernel: str = "final"
 
-    def __post_init__(self):
-        for value, known, what in (
+    def __post_init__(self) -> None:
+        for choice, known, what in (
             (self.model, tuple(MODELS), "model"),
             (self.scattering, SCATTERINGS, "scattering"),
             (self.kernel, KERNELS, "kernel"),
         ):
-            require_known(value, known, what)
+            require_known(choice, known, what)
         if not self.handover >= 0:
             raise SettingsError(f"The handover must not be negative; it is {self.handover}.")
         if not 0 < self.rays <= _MOST_RAYS:
@@ -95,7 +127,15 @@ class Settings:
                 require_whole(value, what, 1, highest)
 
 
-def solve(medium, lights, settings=None, device=None, progress=None, cancel=None, residual=None):
+def solve(
+    medium: Medium,
+    lights: Iterable[Any],
+    settings: Settings | None = None,
+    device: Device | str | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+    residual: Callable[[float], None] | None = None,
+) -> Field:
     """Light a medium.
 
     medium    a `Medium`. For the paper's model it has at least 3 voxels along each edge; the
@@ -106,8 +146,8 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     device    None for the best, or part of the label of one of `device.devices()`
     progress  called as progress(stage, fraction) with fraction from 0 to 1
     cancel    called without arguments; the solve ends with `Cancelled` where it returns true
-    residual  called as residual(error) while light settles, with the estimate of its relative
-              error, before the progress that this is; not by the paper's model
+    residual  called as residual(error) while the lattice converges, with its estimated relative
+              error, before the matching progress; not by the paper's model
     Returns a `Field` in W/m^2. Raises MediumError, LightError, SettingsError or DeviceError.
     Source: paper 1, section 3; docs/theory/physics.md for the physical model.
     """
@@ -115,19 +155,27 @@ def solve(medium, lights, settings=None, device=None, progress=None, cancel=None
     clock = Clock()
     with clock("prepare"):
         used = devices.choose(device)
-        lights, occluded = list(lights), medium.occlusion is not None
-        needed = require_memory(medium.shape, settings, used, medium.bands, occluded, len(lights))
+        all_lights, occluded = list(lights), medium.occlusion is not None
+        arguments = medium.bands, occluded, len(all_lights)
+        needed = require_memory(medium.shape, settings, used, *arguments)
     model = MODELS[settings.model]
     monitor = Monitor(progress, cancel, residual)
-    return model.solve(medium, lights, settings, used, clock, needed, monitor)
+    return model.solve(medium, all_lights, settings, used, clock, needed, monitor)
 
 
-def require_memory(shape, settings=None, device=None, bands=3, occluded=True, lights=4):
+def require_memory(
+    shape: Sequence[int],
+    settings: Settings | None = None,
+    device: Device | str | None = None,
+    bands: int = 3,
+    occluded: bool = True,
+    lights: int = 4,
+) -> int:
     """Refuse a domain of `shape` voxels that is too large for the device, before it is made.
 
-    settings and device are those of `solve`. Before the medium is known it is taken to have the
-    most that scenes bring: three bands, opaque voxels, and hardly ever more than four lights.
-    Returns the bytes needed; DeviceError says the largest resolution that fits.
+    settings and device are those of `solve`. The defaults are the most that a scene usually has,
+    for use before the medium is known: three bands, opaque voxels and four lights.
+    Returns the bytes of the solve; DeviceError names the largest resolution that fits.
     """
     settings = settings or Settings()
     chosen = devices.choose(device)

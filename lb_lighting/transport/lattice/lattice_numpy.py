@@ -8,7 +8,7 @@ state is the light that has arrived. docs/theory/physics.md derives the equation
 the layout.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,7 +111,7 @@ class NumpyLattice:
         self.pull = pull / (WEIGHTS @ pull)
 
     @staticmethod
-    def buffers(shape: tuple[int, ...], occluded: bool) -> dict[str, int]:
+    def buffers(shape: Sequence[int], occluded: bool) -> dict[str, int]:
         """{name: bytes} of a lattice of this shape and all coarser ones, float64."""
         directions = 18 * 8 * Cells(shape).count
         plan = {"light": directions, "light that flows on": directions, "rates": 6 * directions}

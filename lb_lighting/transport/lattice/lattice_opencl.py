@@ -99,7 +99,7 @@ class OpenclLattice:
         return len(at), [upload(self.queue, array, array.dtype) for array in arrays]
 
     @staticmethod
-    def buffers(shape: tuple[int, ...], occluded: bool) -> dict[str, int]:
+    def buffers(shape: Sequence[int], occluded: bool) -> dict[str, int]:
         """{name: bytes} of device memory for a lattice of this shape and all coarser ones, without
         the reflection of flat faces."""
         cells, voxels = Cells(shape), 4 * prod(shape)

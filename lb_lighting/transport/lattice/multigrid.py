@@ -8,7 +8,7 @@ corrected in the same way. (The correction scheme of A. Brandt, "Multi-level ada
 to boundary-value problems", 1977. docs/theory/physics.md, "Few steps", has the measurements.)
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -81,7 +81,7 @@ class Level:
         self.lattice.advance(_SMOOTHING)
 
 
-def shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+def shapes(shape: Sequence[int]) -> list[tuple[int, ...]]:
     """The shapes of all coarser lattices of a lattice."""
     coarser = []
     while max(shape) > _SMALLEST:

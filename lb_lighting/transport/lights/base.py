@@ -9,7 +9,7 @@ import numpy as np
 
 from ...arrays import Array, Booleans, Floats, Spectrum, Vector
 from ...errors import LightError
-from ..medium import LARGEST, Domain, Medium
+from ..medium import LARGEST, BaseMedium, Domain
 
 type Photons = tuple[Floats, Floats, Floats]
 """Origins (n, 3) in m, unit directions (n, 3), and powers (n,) in W."""
@@ -44,7 +44,7 @@ class Light(ABC):
         function of directions. `multiple` compares the bands of lights by it."""
 
     @abstractmethod
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Draw photons of one band.
 
         Returns origins (count, 3) in m, on the faces of the domain or where the light is; unit
@@ -56,7 +56,7 @@ class Light(ABC):
         Raises LightError for a count below 1, or if the bands do not match the medium's.
         """
 
-    def rays(self, medium: Medium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
+    def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """The light as rays, the same at every call.
 
         per_edge  rays along a voxel's edge
@@ -96,7 +96,7 @@ class DistantLight(Light):
     """A light that comes from far away or from everywhere: it is cast as parallel beams."""
 
     @abstractmethod
-    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
+    def suns(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
         """The light as parallel beams from a few directions.
 
         per_edge  rays along a voxel's edge
@@ -112,7 +112,7 @@ class LocalLight(Light):
     """
 
     @abstractmethod
-    def rays(self, medium: Medium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
+    def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """As of `Light.rays`."""
 
 
@@ -126,7 +126,7 @@ def darkness(lights: Iterable[Light]) -> LightError:
     return LightError("There is no light; add a sun, or a world with a colour that is not black.")
 
 
-def multiple(lights: Sequence[Light], medium: Medium, band: int, base: int) -> float | None:
+def multiple(lights: Sequence[Light], medium: BaseMedium, band: int, base: int) -> float | None:
     """The number m for which the lights emit in `band` exactly m times what they emit in `base`.
 
     None if there is no such number: then `band` has to be solved, too. It is also None for a sky

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import Floats, Spectrum, Vector
 from ...errors import LightError
-from ..medium import LARGEST, Medium
+from ..medium import LARGEST, BaseMedium
 from .base import (
     Directional,
     DistantLight,
@@ -77,7 +77,7 @@ class Sun(DistantLight):
         """The irradiance, scalar or (bands,)."""
         return self.irradiance
 
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons on the lit faces, all of the same power: their sum is exactly the irradiance
         times the area of the domain as seen from the sun."""
         irradiance = by_band(self.irradiance, medium.bands)[band]
@@ -88,7 +88,7 @@ class Sun(DistantLight):
         seen_area = np.abs(toward) @ face_areas(medium.domain)
         return origins, directions, np.full(count, irradiance * seen_area / count)
 
-    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
+    def suns(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
         """Its unit direction, (1, 3); its irradiance, (1,) W/m^2; per_edge."""
         toward = np.divide(np.array([self.direction]), np.linalg.norm(self.direction))
         return toward, by_band(self.irradiance, medium.bands)[[band]], per_edge
@@ -143,7 +143,7 @@ class Sky(DistantLight):
 
         return radiances
 
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons on all faces.
 
         Those of a uniform sky have the same power: their sum is exactly pi times radiance times
@@ -163,7 +163,7 @@ class Sky(DistantLight):
         power = np.pi * radiance * 2 * areas.sum() / count
         return origins, turned_to(inwards, axis), np.full(count, power)
 
-    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
+    def suns(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
         """Suns in _SUNS per_edge^2 directions, denser where the sky is brighter.
 
         Returns the unit directions of travel, (n, 3); their irradiance, (n,) W/m^2; the rays of
@@ -201,7 +201,7 @@ class Sky(DistantLight):
         self,
         function: Directional,
         count: int,
-        medium: Medium,
+        medium: BaseMedium,
         rng: np.random.Generator,
         band: int,
     ) -> Photons:
@@ -218,7 +218,7 @@ def _sampled_by_brightness(
     function: Directional,
     across: Floats,
     turn: Floats,
-    medium: Medium,
+    medium: BaseMedium,
     band: int,
     areas: Floats | None = None,
 ) -> tuple[Floats, Floats, float]:

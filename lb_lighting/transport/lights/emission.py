@@ -5,7 +5,7 @@ import numpy as np
 
 from ...arrays import Floats
 from ...errors import LightError
-from ..medium import Medium
+from ..medium import BaseMedium
 from .base import DistantLight, Photons
 from .distant import Sky
 from .sampling import (
@@ -23,7 +23,7 @@ class Emission(DistantLight):
     Raises LightError if it has none.
     """
 
-    def __init__(self, medium: Medium) -> None:
+    def __init__(self, medium: BaseMedium) -> None:
         if medium.emission is None:
             raise LightError("The medium emits no light; give it an emission.")
         self._emission: Floats = medium.emission
@@ -34,7 +34,7 @@ class Emission(DistantLight):
         """The emission of the medium, (bands, nx, ny, nz) W/m^3."""
         return self._emission
 
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons from the voxels in proportion to their emission, all of the same power."""
         if band not in self._edges:
             self._edges[band] = intervals(self._emission[band].ravel())
@@ -47,7 +47,7 @@ class Emission(DistantLight):
         power = np.full(count, edges[-1] * h**3 / count)
         return medium.domain.origin + (corner + within) * h, tilted(2 * tilt, turn), power
 
-    def suns(self, medium: Medium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
+    def suns(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
         """The suns of a uniform sky that sends as much light from all directions as a voxel with an
         emission of 1 W/m^3 emits in all: their strengths, (n,), add up to 1 W/m^3."""
         return Sky(1 / (4 * np.pi)).suns(medium, band, per_edge)

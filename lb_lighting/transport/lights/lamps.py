@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import Floats, Spectrum, Vector
 from ...errors import LightError
-from ..medium import Domain, Medium
+from ..medium import BaseMedium, Domain
 from .base import (
     LocalLight,
     Photons,
@@ -66,7 +66,7 @@ class PunctualLight(LocalLight):
         """The power, scalar or (bands,)."""
         return self.power
 
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons from the position in evenly distributed directions, weighted by the intensity.
 
         From outside they go into the cone around the domain's bounding sphere only; some of these
@@ -79,7 +79,7 @@ class PunctualLight(LocalLight):
         power = by_band(self.power, medium.bands)[band] * versine / 2 / count
         return origins, directions, power * self._intensity(directions)
 
-    def rays(self, medium: Medium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
+    def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """Rays evenly distributed over the cone, or over all directions.
 
         per_edge^2 of them, but _MOST_RAYS in all at most, cross a voxel's face in the farthest
@@ -262,7 +262,7 @@ class AreaLight(LocalLight):
         """The power, scalar or (bands,)."""
         return self.power
 
-    def emit(self, count: int, medium: Medium, rng: np.random.Generator, band: int) -> Photons:
+    def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons from all of the area in evenly distributed directions, weighted by the intensity;
         some of them miss the domain."""
         across, along, tilt, turn = r_sequence(count, 4, rng)
@@ -271,7 +271,7 @@ class AreaLight(LocalLight):
         power = by_band(self.power, medium.bands)[band] * versine / 2 / count
         return self._points(across, along), directions, power * self._intensity(directions)
 
-    def rays(self, medium: Medium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
+    def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """Rays from points evenly distributed over the area.
 
         _RAYS_OF_AREA per_edge^2 or more of them, but about _MOST_RAYS in all at most, cross a

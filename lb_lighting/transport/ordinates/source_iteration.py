@@ -103,7 +103,7 @@ def _pieces(medium: Medium) -> int:
 def _mean_depth(medium: Medium) -> float:
     """The mean optical depth of the voxels that hold matter."""
     depth = medium.depth(np.max(medium.sigma_t))
-    return float(depth.sum() / max(1, np.count_nonzero(depth)))
+    return float(depth.sum() / max(1, int(np.count_nonzero(depth))))
 
 
 def _merged(field: Field, medium: Medium, pieces: int) -> Field:

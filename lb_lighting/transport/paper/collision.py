@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The collision matrix of paper 1, section 3, and the diffusion that it comes to."""
+"""The collision matrix of paper 1, section 3, and its diffusion coefficient."""
 
 import numpy as np
 
+from ...arrays import Floats
 from ...errors import MediumError
 from ..lattice.d3q19 import UNIT, WEIGHTS
 
 
-def phase_matrix(g):
+def phase_matrix(g: float) -> Floats:
     """The normalized phase function pn (18, 18) between the moving directions, equations 8 and 9.
 
     Entry [i, j] is for scattering from direction j + 1 into i + 1; the weighted sum of each
-    column is 1. |g| = 1 is the limit: straight on, or straight back. MediumError beyond it.
+    column is 1. |g| = 1 is the limit: only forward, or only backward. MediumError beyond it.
     """
     if not abs(g) <= 1:
         raise MediumError(f"g must lie between -1 and 1; it is {g}.")
@@ -25,12 +26,12 @@ def phase_matrix(g):
     return p / (WEIGHTS[1:] @ p)
 
 
-def collision_matrix(sigma_s, sigma_a, g=0.0):
+def collision_matrix(sigma_s: float, sigma_a: float, g: float = 0.0) -> Floats:
     """Omega (19, 19) of equations 5 to 7, with sigma_s modulated by the phase function.
 
     sigma_s, sigma_a  per lattice spacing (the paper has no other unit of length)
-    Entry [i, j] moves light from direction j into i; each column sums to 0. Row 0 collects
-    what is absorbed, and column 0 emits it again.
+    Entry [i, j] moves light from direction j into i; each column sums to 0. Row 0 collects the
+    absorbed light, and column 0 emits it again.
     """
     omega = np.zeros((19, 19))
     omega[0, 0] = -1
@@ -41,6 +42,6 @@ def collision_matrix(sigma_s, sigma_a, g=0.0):
     return omega
 
 
-def diffusion_coefficient(sigma_s, sigma_a):
-    """D of equation 4, in lattice spacings squared a step, for isotropic scattering."""
+def diffusion_coefficient(sigma_s: float, sigma_a: float) -> float:
+    """D of equation 4, in squared lattice spacings per step, for isotropic scattering."""
     return (2 / (sigma_s + sigma_a) - 1) / (4 * (1 + sigma_a))

@@ -7,25 +7,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import Floats
 from ...errors import LightError, MediumError
-from ..backend import backend_of
+from ..backend import PaperLattice, backend_of
 from ..device import Device
-from ..field import Field, Report
+from ..field import Clock, Field, Report
 from ..lattice.d3q19 import UNIT, WEIGHTS
-from ..lights.base import by_band
+from ..lights.base import Light, by_band
 from ..lights.distant import Sky, Sun
-from ..medium import SMALLEST_EDGE
+from ..medium import SMALLEST_EDGE, Medium
 from ..memory import DOUBLE, FLOAT, Footprint
+from ..monitor import Monitor
 from .collision import collision_matrix
 
 if TYPE_CHECKING:
     from ..solver import Settings
 
-_REPORT_EVERY = 8  # steps between two looks at `cancel`: prompt, and free
+_REPORT_EVERY = 8  # steps between two checks of `cancel`: prompt, at no cost
 
 
-def solve(medium, lights, settings, device, clock, needed, monitor):
-    """`solver.solve` by the paper's model; needed is the memory that it takes, bytes."""
+def solve(
+    medium: Medium,
+    lights: Sequence[Light],
+    settings: "Settings",
+    device: Device,
+    clock: Clock,
+    needed: int,
+    monitor: Monitor,
+) -> Field:
+    """`solver.solve` by the paper's model; needed is the memory of the solve in bytes."""
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)
     with clock("prepare"):
@@ -78,12 +88,12 @@ def footprint(
     return Footprint(backend_of(device).paper_memory(shape, settings.kernel, occluded), arrays)
 
 
-def boundary_inflow(lights, bands):
+def boundary_inflow(lights: Sequence[Light], bands: int) -> Floats:
     """(bands, 19) W/m^2: the light that a boundary node holds in each direction.
 
-    A sun's is proportional to the positive part of n_m . direction (paper 1, section 3), scaled
-    so that the sum over directions is its irradiance, which is the fluence of a free beam. A
-    sky's is its radiance times 4 pi w_m, so that a closed uniform sky gives 4 pi L everywhere.
+    That of a sun is proportional to the positive part of n_m . direction (paper 1, section 3); its
+    sum over directions is the irradiance, which is the fluence of a free beam. That of a sky is its
+    radiance times 4 pi w_m, so that a uniform sky gives 4 pi L everywhere.
     """
     inflow = np.zeros((bands, 19))
     for light in lights:
@@ -107,8 +117,8 @@ def boundary_inflow(lights, bands):
     return inflow
 
 
-def _refuse_unfit(medium):
-    """The media that the paper's model has no place for."""
+def _refuse_unfit(medium: Medium) -> None:
+    """Refuse media that the paper's model cannot represent."""
     if min(medium.shape) < SMALLEST_EDGE:
         raise MediumError(
             f"The lattice needs {SMALLEST_EDGE} voxels or more along each edge; "
@@ -124,12 +134,12 @@ def _refuse_unfit(medium):
         )
 
 
-def _distinct_runs(medium, inflow):
+def _distinct_runs(medium: Medium, inflow: Floats) -> list[tuple[int, dict[int, float]]]:
     """[(band to solve, {band: its multiple})]: bands that differ by a factor are solved once.
 
     The lattice is linear in the light, so in a grey medium a coloured sun needs one run.
     """
-    runs = []
+    runs: list[tuple[int, dict[int, float]]] = []
     for band in range(medium.bands):
         for solved, multiples in runs:
             factor = _factor(inflow[band], inflow[solved])
@@ -144,25 +154,25 @@ def _distinct_runs(medium, inflow):
     return runs
 
 
-def _factor(inflow, base):
+def _factor(inflow: Floats, base: Floats) -> float | None:
     """inflow / base where they are multiples of each other, else None."""
     if not base.any():
         return None if inflow.any() else 0.0
-    factor = inflow.sum() / base.sum()
+    factor = float(inflow.sum() / base.sum())
     return factor if np.allclose(inflow, factor * base, rtol=1e-12, atol=0) else None
 
 
-def _advance(lattice, steps, run, runs, monitor):
+def _advance(lattice: PaperLattice, steps: int, run: int, runs: int, monitor: Monitor) -> None:
     for done in range(0, steps, _REPORT_EVERY):
         monitor.check()
         lattice.advance(min(_REPORT_EVERY, steps - done))
         monitor.report("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
 
 
-def _read(lattice, fluence, flux):
+def _read(lattice: PaperLattice, fluence: Floats, flux: Floats) -> float:
     """Fill fluence (nx, ny, nz) and flux (3, nx, ny, nz); the relative change of the last step.
 
-    A function of its own so that no view of the lattice's light outlives it.
+    No view of the lattice's light may outlive this function.
     """
     with lattice.read(previous=True) as f:
         before = f.sum(axis=0)
@@ -173,6 +183,6 @@ def _read(lattice, fluence, flux):
     return _relative_change(now, before)
 
 
-def _relative_change(now, before):
+def _relative_change(now: Floats, before: Floats) -> float:
     norm = float(np.linalg.norm(now))
     return float(np.linalg.norm(now - before)) / norm if norm else 0.0

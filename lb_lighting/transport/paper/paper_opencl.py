@@ -1,27 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's lattice on an OpenCL device, by one of its three kernels (paper 1, section 3.1)."""
 
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from math import prod
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
+from ...arrays import Array, Floats, Integers
 from ...errors import DeviceError
-from ..device import context, program, queue
+from ..device import Device, context, program, queue
 from ..lattice.d3q19 import DIRECTIONS
+from ..medium import Medium
 from .paper_numpy import senders, set_initial_light
 
 
 class PaperLattice:
-    """The lattice of one medium on a device: two states in turn, float32.
+    """The lattice of one medium on a device: two states that take turns, float32.
 
     kernel         "naive" (directions fastest in memory, a table of targets), "final" (DEPTH
                    fastest, targets computed) or "coalesced" (the same, written by stripes)
-    keep_absorbed  whether absorbed light stays, and is emitted again, or is dropped
+    keep_absorbed  whether absorbed light is kept and emitted again
     """
 
-    def __init__(self, medium, keep_absorbed, device, kernel):
+    def __init__(self, medium: Medium, keep_absorbed: bool, device: Device, kernel: str) -> None:
         self.shape, self.naive = medium.shape, kernel == "naive"
         self.context, self.queue = context(device), queue(device)
         defines = [
@@ -41,8 +45,8 @@ class PaperLattice:
         self.arguments = [self.omega, self.density, *occlusion, self._upload(targets)]
 
     @staticmethod
-    def buffers(shape, kernel, occluded):
-        """{what: bytes} of device memory for a lattice of this shape."""
+    def buffers(shape: Sequence[int], kernel: str, occluded: bool) -> dict[str, int]:
+        """{name: bytes} of device memory for a lattice of this shape."""
         nodes = prod(shape)
         plan = {
             "light": 19 * 4 * nodes,
@@ -56,29 +60,29 @@ class PaperLattice:
             plan["targets"] = 19 * 4 * nodes
         return plan
 
-    def start(self, inflow, omega):
+    def start(self, inflow: Floats, omega: Floats) -> None:
         """Set the light that enters, (19,) by direction, and the collision matrix (19, 19)."""
         for state in self.states:  # the boundary is never written, so both hold it
             with self._mapped(state, cl.map_flags.WRITE_INVALIDATE_REGION) as light:
                 set_initial_light(light, inflow)
         cl.enqueue_copy(self.queue, self.omega, omega.astype(np.float32))
 
-    def advance(self, steps):
-        """Take so many steps, and wait for them."""
+    def advance(self, steps: int) -> None:
+        """Take a number of steps, and wait for them."""
         for _ in range(steps):
             self.update(self.queue, self.shape[::-1], self.group, *self.states, *self.arguments)
             self.states.reverse()
         self.queue.finish()
 
-    def read(self, previous=False):
+    def read(self, previous: bool = False) -> AbstractContextManager[Floats]:
         """The light, or that of one step before, (19, nx, ny, nz) float32, as a context.
 
-        The array is the device's memory where the host shares it, and lives within the context.
+        The array is the device's own memory where the host shares it; it is valid in the context.
         """
         return self._mapped(self.states[1 if previous else 0], cl.map_flags.READ)
 
-    def _work_group(self, kernel):
-        """The paper's: a stripe along DEPTH; left to the driver where one is too long for it."""
+    def _work_group(self, kernel: str) -> tuple[int, ...] | None:
+        """The paper's stripe along DEPTH; None, for the driver's choice, where it is too long."""
         if self.shape[2] <= self.queue.device.max_work_group_size:
             return (self.shape[2], 1, 1)
         if kernel == "coalesced":
@@ -88,39 +92,39 @@ class PaperLattice:
             )
         return None
 
-    def _state_size(self):
+    def _state_size(self) -> int:
         return 19 * (prod(self.shape) + (1 if self.naive else 0))  # 1: the sink
 
     @contextmanager
-    def _mapped(self, state, access):
-        """A state as an array of the host, by direction; mapped, so that CPUs need no copy."""
+    def _mapped(self, state: cl.Buffer, access: Any) -> Iterator[Floats]:
+        """A state as an array of the host, by direction; mapping it spares CPUs a copy."""
         values, _ = cl.enqueue_map_buffer(
-            self.queue, state, access, 0, self._state_size(), np.float32
+            self.queue, state, access, 0, (self._state_size(),), np.dtype(np.float32)
         )
         try:
             yield self._by_direction(values)
         finally:
             values.base.release(self.queue)
 
-    def _by_direction(self, values):
+    def _by_direction(self, values: Floats) -> Floats:
         """The view (19, nx, ny, nz) of a state in the device's order."""
         nx, ny, nz = self.shape
         if self.naive:
             return np.moveaxis(values[:-19].reshape(nx, ny, nz, 19), 3, 0)
         return np.moveaxis(values.reshape(nx, ny, 19, nz), 2, 0)
 
-    def _targets(self):
-        """(nx, ny, nz, 19) uint32, the node that each flow goes to; the sink if to none."""
+    def _targets(self) -> Integers:
+        """(nx, ny, nz, 19) uint32: the node that each flow reaches, or the sink."""
         sink = prod(self.shape)
         nodes = np.arange(sink, dtype=np.uint32).reshape(self.shape)
         targets = np.full((*self.shape, 19), sink, np.uint32)
         for m, c in enumerate(DIRECTIONS):
-            targets[*senders(self.shape, c), m] = nodes[1:-1, 1:-1, 1:-1]
+            targets[..., m][senders(self.shape, c)] = nodes[1:-1, 1:-1, 1:-1]
         return targets
 
-    def _upload(self, values):
+    def _upload(self, values: Array) -> cl.Buffer:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags, hostbuf=values)
 
-    def _buffer(self, size):
+    def _buffer(self, size: int) -> cl.Buffer:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)

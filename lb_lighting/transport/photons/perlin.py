@@ -25,7 +25,7 @@ from ...arrays import Floats, Integers, Spectrum, Vector
 from ...errors import MediumError, require_whole
 from ..medium import (
     LARGEST,
-    Domain,
+    BaseMedium,
     Medium,
     optics_by_band,
 )
@@ -66,7 +66,7 @@ _OCTAVE, _FRAME = 0x9E3779B1, 0x85EBCA77
 _X, _Y, _Z = (np.uint32(prime) for prime in (0xC2B2AE3D, 0x165667B1, 0x27D4EB2F))
 
 
-class PerlinMedium:
+class PerlinMedium(BaseMedium):
     """A cube of fractal noise; outside is vacuum.
 
     resolution        N, cells of the finest lattice along an edge: coarsest * 2^k, at most 32768
@@ -109,6 +109,7 @@ class PerlinMedium:
         self.persistence = _as_on_devices(_between(persistence, "persistence", 0, 1))
         self.time = _between(time, "time", -(2**30), 2**30)
         self.size = float(size)
+        self.voxel_size = self.size / self.resolution  # m, the edge of a cell of the finest lattice
         if not 0 < self.size <= LARGEST:
             raise MediumError(
                 f"The size must be positive and at most {LARGEST:.1e} m; it is {size} m."
@@ -118,21 +119,9 @@ class PerlinMedium:
             raise MediumError(f"The origin must be three finite coordinates; it is {origin}.")
         self.sigma_s, self.sigma_a, self.g = optics_by_band(sigma_s, sigma_a, g)
 
-    bands, sigma_t, albedo = Medium.bands, Medium.sigma_t, Medium.albedo
-    emission = occlusion = occlusion_albedo = shift = None  # noise neither shines nor is opaque
-
     @property
     def shape(self) -> tuple[int, int, int]:
         return (self.resolution,) * 3
-
-    @property
-    def voxel_size(self) -> float:
-        """m, the edge of a cell of the finest lattice."""
-        return self.size / self.resolution
-
-    @property
-    def domain(self) -> Domain:
-        return Domain(self.origin, self.voxel_size, self.shape)
 
     @property
     def amplitudes(self) -> Floats:
@@ -287,11 +276,11 @@ def _trilinear(key: Integers, x: Floats, y: Floats, z: Floats) -> Floats:
     """The octave of `key` at coordinates in cells of its lattice."""
     (x0, x1, fx), (y0, y1, fy), (z0, z1, fz) = _cell(x, _X), _cell(y, _Y), _cell(z, _Z)
 
-    def along_z(row):
+    def along_z(row: Integers) -> Floats:
         low = _value(row ^ z0)
         return low + fz * (_value(row ^ z1) - low)
 
-    def along_yz(plane):
+    def along_yz(plane: Integers) -> Floats:
         low = along_z(mix_bits(plane ^ y0))
         return low + fy * (along_z(mix_bits(plane ^ y1)) - low)
 

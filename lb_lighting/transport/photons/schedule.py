@@ -92,6 +92,7 @@ def _distinct(
             factors = [multiple([light], medium, band, base) for light in lights]
             if alike and None not in factors:
                 for bands, factor in zip(multiples, factors, strict=True):
+                    assert factor is not None
                     bands[band] = factor
                 break
         else:

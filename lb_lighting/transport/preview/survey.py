@@ -17,7 +17,7 @@ from ...arrays import Array, Floats
 from ...errors import require_whole
 from ..device import Device
 from ..lights.distant import Sky
-from ..medium import Domain, Medium
+from ..medium import BaseMedium, Domain, Medium
 from ..photons.free_path import SAMPLERS, FreePathSampler
 from ..photons.perlin import PerlinMedium
 
@@ -209,18 +209,22 @@ def _voxels(count: float) -> int:
     return _STEP * ceil(count / _STEP)
 
 
-class _Box:
+class _Box(BaseMedium):
     """The part of a medium's interface that lights need, for the box that holds all its matter."""
 
-    bands = 1
+    sigma_s = sigma_a = g = np.zeros(1)
 
-    def __init__(self, medium: Medium | PerlinMedium) -> None:
-        self.domain = medium.domain
-        matter = None if isinstance(medium, PerlinMedium) else np.argwhere(medium.density)
-        if matter is not None and len(matter):
-            lower, upper = matter.min(axis=0), matter.max(axis=0) + 1
-            origin = np.add(medium.origin, lower * medium.voxel_size)
-            self.domain = Domain(tuple(origin), medium.voxel_size, tuple(upper - lower))
+    def __init__(self, medium: BaseMedium) -> None:
+        self.origin, self.voxel_size, self._shape = medium.origin, medium.voxel_size, medium.shape
+        matter = np.argwhere(medium.density) if isinstance(medium, Medium) else ()
+        if len(matter):
+            lower, upper = np.min(matter, axis=0), np.max(matter, axis=0) + 1
+            self.origin = tuple(np.add(medium.origin, lower * medium.voxel_size))
+            self._shape = tuple(upper - lower)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._shape
 
 
 def _chords(domain: Domain, origins: Floats, directions: Floats) -> Floats:
