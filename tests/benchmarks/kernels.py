@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's tables 3 and 4 as measured here: NumPy and the three kernels on every runtime.
+"""The paper's tables 3 and 4, measured: NumPy and the three kernels on every runtime.
 
-A solve takes 2N steps; a few of them are timed, after a warm-up, and the seconds are scaled to
-2N. The paper's own figures stand beside them, without its second of loading.
+A solve takes 2N steps. A few of them are timed after a warm-up and scaled to 2N. The paper's
+figures are printed for comparison, without its second of loading.
 """
 
 from time import perf_counter
@@ -31,7 +31,7 @@ TIMED_STEPS = {"NumPy": 1, "OpenCL": 4}
 
 
 def cloud(shape):
-    """A medium of the paper's cloud parameters; what a step costs does not depend on it."""
+    """A medium with the paper's cloud parameters, on which the cost of a step does not depend."""
     density = np.random.default_rng(0).random(shape, np.float32)
     optics = PRESETS["cloud"]
     return Medium(density, 1.0, optics.sigma_s, optics.sigma_a, optics.g)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lowers the noise of a hybrid: ways to trace its photons, and a filter for what they find.
+"""Noise reduction for hybrids: ways to trace their photons, and a filter for the result.
 
     python -m tests.benchmarks.noise [trace filter]
 
-Seconds are of the processor, all threads together, so that other work on the machine counts less;
-rounds go through all ways in turn, and ratios are of one round.
+Seconds are processor time of all threads, which depends less on other processes. Each round goes
+through all ways in turn, and ratios are computed within a round.
 """
 
 import sys
@@ -39,7 +39,7 @@ def chosen():
 
 @dataclass(frozen=True)
 class Way:
-    """A way to trace: arguments of `trace`, and whether photons enter evenly spread."""
+    """A way to trace: arguments of `trace`, and whether photons enter at low-discrepancy points."""
 
     name: str
     arguments: dict = field(default_factory=dict)
@@ -49,7 +49,7 @@ class Way:
 HYBRID = {"direct": False, "spacing": 0.5, "sampler": "supervoxel_constant"}  # the solver's own
 WAYS = (
     Way("plain"),
-    Way("unscattered light left to rays", {"direct": False}),
+    Way("uncollided light by rays", {"direct": False}),
     Way("and scores half a voxel apart", {"direct": False, "spacing": 0.5}),
     Way("and constant bounds: the hybrid's", HYBRID),
     Way("the hybrid's, scores 1/4 voxel apart", HYBRID | {"spacing": 0.25}),
@@ -61,12 +61,12 @@ WAYS = (
 
 
 def trace_rows(case):
-    """A row for each way: its noise, its time, and its efficiency beside the plain one's."""
+    """A row for each way: its noise, its time, and its efficiency relative to the plain way."""
     for way in WAYS:  # builds the programs
         traced(case, way, photons=2**12, seed=0)
     found = np.array([[traced(case, way, PHOTONS, s) for way in WAYS] for s in range(ROUNDS)])
     noise, seconds = found[..., 0], found[..., 1]
-    cost = noise**2 * seconds  # of which a way takes the same at any number of photons
+    cost = noise**2 * seconds  # does not depend on the number of photons
     for i, way in enumerate(WAYS):
         gains = cost[:, 0] / cost[:, i]
         yield {
@@ -103,12 +103,12 @@ def at_random(count, dimensions, rng):
 
 
 def shifted(light, guide, _variance):
-    """The smooth part of light, of which the guide, but for what differs, tells the edges."""
+    """The smooth part of light: the guide, which has its edges, plus the smoothed difference."""
     return guide + smooth(light - guide)
 
 
 def fitted(light, guide, variance):
-    """The smooth part of light: around each voxel the linear function of the guide that fits best.
+    """The smooth part of light: the best linear function of the guide around each voxel.
 
     Its slope falls to zero where the guide varies less than the light's own noise.
     Source: K. He, J. Sun, X. Tang, "Guided image filtering", 2010.
@@ -119,7 +119,7 @@ def fitted(light, guide, variance):
     return smooth(slope) * guide + smooth(mean - slope * mean_guide)
 
 
-# {name: (what is the smooth part, trust in the variance)}
+# {name: (function for the smooth part, trust in the variance)}
 FILTERS = {
     "none": (shifted, 0.0),
     "shifted": (shifted, 1.0),
@@ -130,10 +130,10 @@ FILTERS = {
 
 
 def filtered(hybrid, deterministic, smooth_part, trust):
-    """The hybrid's scattered light, (nx, ny, nz) float64, smoothed where it may be noise.
+    """The hybrid's scattered light, (nx, ny, nz) float64, smoothed as far as it may be noise.
 
-    Of what is rough comes back the share that the variance, times the trust in it, does not
-    explain.
+    The share of the rough part that the variance, times the trust in it, does not explain, is
+    added back.
     """
     light, guide, variance = (
         values[0].astype(float)
@@ -146,7 +146,7 @@ def filtered(hybrid, deterministic, smooth_part, trust):
 
 
 def smooth(values):
-    """[1 2 1] / 4 along each axis; the outermost voxels count for what would be beyond."""
+    """[1 2 1] / 4 along each axis; the outermost voxels are repeated beyond the border."""
     for axis in range(3):
         around = np.pad(values, [(int(axis == a),) * 2 for a in range(3)], mode="edge")
         low, middle, high = (
@@ -157,11 +157,11 @@ def smooth(values):
 
 
 def filter_rows(case):
-    """For each number of photons what a hybrid, and what is made of it, has of noise and error.
+    """Noise and error of a hybrid and of its filtered light, for each number of photons.
 
-    The truth of a solve is the mean of the same by the other seeds, whose own noise is taken out:
-    error is noise and what the filter spoils, without what the hybrid itself neglects. Imbalance
-    is what the filter changes about the power absorbed, over the power that entered.
+    The expected light of a solve is the mean over the other seeds, whose noise is subtracted: the
+    error consists of noise and of damage by the filter, but not of the model error of the hybrid.
+    Imbalance is the change of the absorbed power by the filter, over the power that entered.
     """
     solved(case, 0.0)  # builds the programs
     deterministic, extra = solved(case, 0.0)
@@ -189,7 +189,7 @@ def filter_rows(case):
 
 
 def solved(case, handover, a_voxel=None, seed=0):
-    """(Field, seconds of the processor)."""
+    """(Field, processor seconds)."""
     photons = a_voxel and a_voxel * case.medium.density.size
     start = process_time()
     result = solve(
@@ -204,7 +204,7 @@ def noise(light):
 
 
 def error(light, plain):
-    """Error of the lights (seeds, nx, ny, nz), in L2, against the mean of the others unfiltered."""
+    """Error of the lights (seeds, nx, ny, nz), in L2, against the mean of the unfiltered others."""
     others = (plain.sum(axis=0) - plain) / (len(plain) - 1)
     raw = ((light - others) ** 2).sum() / len(light)
     return float(np.sqrt(max(0.0, raw - noise(plain) ** 2 / (len(plain) - 1))))
@@ -217,7 +217,7 @@ def main(parts):
     for part in parts or PARTS:
         rows = []
         for case in chosen():
-            print(case.name, flush=True)  # as some take a minute
+            print(case.name, flush=True)  # some take a minute
             rows += PARTS[part](case)
         publish(f"noise-{part}", device.choose().label, rows)
 

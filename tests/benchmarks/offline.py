@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every kernel needs on graphics cards that are not there, by their compilers.
+"""Resources of every kernel on graphics cards, from offline compilers.
 
     python -m tests.benchmarks.offline
 
-Compiles every program with the options and in the variants that the extension builds, by clang for
-AMD's gfx1030 (Radeon RX 6000) and for NVIDIA's sm_86 (GeForce RTX 30), there through ptxas. Prints
-for each kernel registers, what is spilled, and scratch or stack, of its greediest variant; writes
-build/bench/offline.json. The drivers have compilers of their own, but much the same ones. Fails
-where a program does not compile, and says so where the compilers cannot be had.
+Compiles every program, with the options and in the variants that the extension builds, with clang
+for AMD's gfx1030 (Radeon RX 6000) and NVIDIA's sm_86 (GeForce RTX 30), the latter through ptxas.
+Prints the registers, spills, and scratch or stack of the largest variant of each kernel; writes
+build/bench/offline.json. The compilers of the drivers differ, but are similar. Fails if a program
+does not compile, and reports it if the compilers are not available.
 """
 
 import re
@@ -23,17 +23,17 @@ from tests.benchmarks.table import publish
 from tests.setup import compilers
 
 PHYSICAL = (lattice_opencl._SOURCES, lattice_opencl._CONSTANTS)
-BOUNDS_OF_PATHS = ((), ("RAY_MARCH",), ("WOODCOCK",), ("POLYNOMIAL",))
+MAJORANTS_OF_PATHS = ((), ("RAY_MARCH",), ("WOODCOCK",), ("POLYNOMIAL",))
 FLOPS = {"add": 1, "sub": 1, "mul": 1, "fma": 2, "mad": 2, "div": 1, "rcp": 1, "neg": 0}
 
 
 def subsets(*names):
-    """All ways to define some of them."""
+    """All subsets of the names."""
     return chain.from_iterable(combinations(names, n) for n in range(len(names) + 1))
 
 
 def programs():
-    """(files, defines) of what the extension builds; of photons' tallies the least and the most."""
+    """(files, defines) of the extension's programs; photons with the fewest and most tallies."""
     yield PHYSICAL
     for some in subsets("DIRECTED", "OCCLUDED", "EMITTING"):
         yield ("uncollided/attenuation.cl", "uncollided/sweep.cl"), some
@@ -44,7 +44,7 @@ def programs():
     for kernel, first, some in product(KERNELS, (0, 1), subsets("OCCLUSION")):
         yield (f"paper/{kernel}.cl",), (*shape, f"FIRST={first}", *some)
     yield ("photons/majorants.cl",), majorants_opencl.defines()
-    for sampler, linear, noise in product(BOUNDS_OF_PATHS, subsets("LINEAR"), (False, True)):
+    for sampler, linear, noise in product(MAJORANTS_OF_PATHS, subsets("LINEAR"), (False, True)):
         files = ("photons/random.cl", *(["photons/perlin.cl"] if noise else []), "photons/paths.cl")
         defines = (*sampler, *linear, *(["PERLIN_MEDIUM"] if noise else []))
         yield (*files, "photons/free_path.cl"), defines
@@ -56,7 +56,7 @@ def programs():
 
 
 def assembly(program, target):
-    """Of one of `programs()`."""
+    """The assembly of one of `programs()`."""
     files, defines = program
     text = "\n".join((_SOURCES / name).read_text() for name in files)
     options = [*_BUILD_OPTIONS.split(), *(f"-D{define}" for define in defines)]
@@ -64,7 +64,7 @@ def assembly(program, target):
 
 
 def needs(program):
-    """{kernel: {column: number}} on both."""
+    """{kernel: {column: number}} for both cards."""
     amd = compilers.amd_needs(assembly(program, compilers.AMD))
     nvidia = compilers.nvidia_needs(assembly(program, compilers.NVIDIA))
     return {
@@ -75,7 +75,7 @@ def needs(program):
 
 
 def tried(program):
-    """What it needs, or what a compiler said."""
+    """The needs of a program, or the message of a compiler."""
     try:
         return needs(program)
     except compilers.CompileError as error:
@@ -83,7 +83,7 @@ def tried(program):
 
 
 def of_a_cell(kernel):
-    """{"read", "written": bytes, "flops"} of a work-item of a step, by its PTX, a straight line."""
+    """{"read", "written": bytes, "flops"} of a work-item of a step, from its branchless PTX."""
     text = assembly(PHYSICAL, compilers.NVIDIA)
     body = re.search(rf"\.entry {kernel}\(.*?\n}}", text, re.S)[0]
     operations = re.findall(r"^\s+(\w+)(?:\.\w+)*\.f32\s", body, re.M)

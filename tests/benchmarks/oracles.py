@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The physical model against numbers that are exact: slabs, a white furnace, light of a point."""
+"""The physical model against exact solutions: slabs, a white furnace, a point source."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from tests.tracing import Beam
 from tests.transport.photons.test_photon_oracles import SLABS
 
 THICK = 16  # voxels of a slab
-WIDE = 161  # voxels: what leaves through the sides is measured
-PHOTONS = 400_000  # of a slab's hybrid: R and T of one beam, to .001
+WIDE = 161  # voxels; the light that leaves through the sides is measured
+PHOTONS = 400_000  # for a slab's hybrid: R and T of one beam, to .001
 SPREADS = [(0, 0.9), (0, 0.5), (0.75, 0.9), (-0.5, 0.8), (0.9, 0.7)]  # g, albedo
-# Voxels of the box, and how large they are beside the root mean square distance: half the box is
-# 6 of it. Two sizes, as what is wrong may come from the voxels.
+# Voxels of the box, and their size relative to the root mean square distance, of which half the box
+# is 6. There are two sizes, as the error may depend on the voxels.
 BOXES = {41: 0.3, 97: 0.12}
 
 
@@ -24,12 +24,12 @@ BOXES = {41: 0.3, 97: 0.12}
 
 
 def slab_rows():
-    """What slabs reflect and transmit. Within 3 % of the exact, or .02 where that is more.
+    """Reflectance and transmittance of slabs, within 3 % of the exact ones, or .02 if that is more.
 
-    A point of the slab's middle is lit, and all that leaves through a face is counted: as a
-    model is linear and a slab the same everywhere, that is what it does to light that falls on
-    all of it. Only what leaves through the sides, `sides`, would do so elsewhere in a slab
-    without end; it is the most that either number can lack.
+    One point in the middle of the slab is lit, and all light that leaves through a face is counted.
+    The model is linear and the slab is homogeneous, so this equals the result for light on the
+    whole slab. In an infinite slab the light that leaves through the sides, `sides`, would leave
+    elsewhere; it is the largest possible error of the two numbers.
     """
     for g, depth, albedo, *exact in SLABS:
         for diffuse in (False, True):
@@ -56,7 +56,7 @@ def slab_rows():
 
 
 def slab(depth, albedo, g, diffuse, settings):
-    """(sides, R, T): the shares of the light that leave a slab."""
+    """(sides, R, T): shares of the light that leaves a slab."""
     sigma_t = depth / THICK
     medium = Medium(np.ones((WIDE, WIDE, THICK)), 1.0, sigma_t * albedo, sigma_t * (1 - albedo), g)
     lamp = Beam((WIDE / 2, WIDE / 2, 0), (0, 0, 1), diffuse)
@@ -69,11 +69,11 @@ def slab(depth, albedo, g, diffuse, settings):
 
 
 def furnace_rows():
-    """A cloud that absorbs nothing under an even sky: 4 pi times its radiance, everywhere.
+    """A cloud without absorption under a uniform sky: the fluence is 4 pi times its radiance.
 
-    The deterministic solve knows that answer for a sky that is a number, and takes no step: it
-    is right by construction, and says nothing of the lattice; a function it first divides in what
-    is even and the rest. The lattice is asked by an upper and a lower half, which are not even.
+    For a sky with a constant radiance the deterministic solve uses this answer and takes no step,
+    so it does not test the lattice. A sky by function is first divided into a uniform part and the
+    remainder. The lattice is tested with an upper and a lower half, which are not uniform.
     """
     skies = {"number": [Sky(1.0)], "function": [Sky(ones)], "halves": [Sky(upper), Sky(lower)]}
     for depth in CLOUD_DEPTHS:
@@ -101,7 +101,7 @@ def lower(towards):
 
 
 def furnace(field, medium):
-    """How far a field is from 4 pi, with the noise of photons where there is any."""
+    """The deviation of a field from 4 pi, with the noise of photons if there are any."""
     off = all_light(field) / (4 * np.pi) - 1
     scatters = medium.density > 0
     return {
@@ -120,10 +120,10 @@ def furnace(field, medium):
 
 
 def spread_rows():
-    """The mean squared distance at absorption from where light starts, within 1 %.
+    """The mean squared distance between emission and absorption, within 1 %.
 
-    Light starts anywhere in the middle voxel and is absorbed anywhere in the voxel that it is
-    counted in, so the squared distance between the centres is h^2 / 2 more.
+    Light is emitted anywhere in the middle voxel and absorbed anywhere in the voxel in which it is
+    counted, so h^2 / 2 is added to the squared distance between the centres.
     """
     for g, albedo in SPREADS:
         exact = 2 / ((1 - albedo) * (1 - g * albedo))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Final pictures by Cycles: what they cost, how far from each other they are, and kept references.
+"""Final pictures by Cycles: their cost, their differences, and stored references.
 
-Costs are processor time (user and system, of this process and of those that it waited for), which
-other people's work on a machine hardly changes, and wall time.
+Costs are wall time, and processor time (user and system, of this process and its children), which
+hardly depends on other processes.
 """
 
 import hashlib
@@ -22,13 +22,13 @@ from tests.output.rendering import render, silent_stdout
 REFERENCES = BUILD.parent / "references"
 STORE = Path(__file__).parents[1] / "references" / "pictures.npz"
 SIZE = 128  # pixels along an edge
-BLOCK = 4  # pixels along the edge of what coarse figures average over
+BLOCK = 4  # edge, in pixels, of the blocks that coarse figures average
 BOUNCES = ("max", "volume", "diffuse", "glossy", "transmission")
-SEEDS = (1001, 1002)  # of the two halves of a reference; no other picture has them
+SEEDS = (1001, 1002)  # of the two halves of a reference; no other picture uses them
 
 
 class Meter:
-    """Seconds that a `with meter():` took: `processor` of all cores in sum, and `wall`."""
+    """Seconds of a `with meter():`: `processor`, the sum over all cores, and `wall`."""
 
     def __init__(self):
         self.processor = self.wall = 0.0
@@ -56,7 +56,8 @@ def picture(samples, bounces=None, seed=0, denoise=False, meter=None, size=SIZE)
     """(size, size, 3) linear radiance of the scene by Cycles, row 0 at the bottom.
 
     bounces  of every kind, or None for those of the scene
-    Nothing is clamped or left out, and all pixels have the same number of samples.
+
+    Nothing is clamped or omitted, and all pixels have the same number of samples.
     """
     scene = bpy.context.scene
     cycles = scene.cycles
@@ -70,9 +71,9 @@ def picture(samples, bounces=None, seed=0, denoise=False, meter=None, size=SIZE)
 
 
 def reference(facts, build, samples, bounces, size=SIZE):
-    """(2, size, size, 3): pictures of the scene that `build()` makes, by two seeds.
+    """(2, size, size, 3): pictures of the scene that `build()` makes, with two seeds.
 
-    facts  (name, whatever else the picture depends on); they are rendered once for the same facts
+    facts  (name, everything else that the picture depends on); rendered once for the same facts
     """
     name = facts[0].replace(",", "").replace(" ", "-")
     path = REFERENCES / f"render-{name}-{digest(facts, samples, bounces, size)}.npz"
@@ -86,12 +87,12 @@ def reference(facts, build, samples, bounces, size=SIZE):
 
 
 def digest(facts, samples, bounces, size=SIZE):
-    """Stands for all that a reference depends on."""
+    """Hash of everything that a reference depends on."""
     return hashlib.sha256(repr((facts, samples, bounces, size, SEEDS)).encode()).hexdigest()[:8]
 
 
 def stored(facts, halves, samples, bounces):
-    """The mean of a reference over that of the one in tests/references, where it is put if new."""
+    """The mean of a reference relative to the one in tests/references; if new, it is stored."""
     name, key = facts[0], digest(facts, samples, bounces)
     known, about = {}, {}
     if STORE.exists():
@@ -115,23 +116,23 @@ def stored(facts, halves, samples, bounces):
 
 
 def error(found, halves):
-    """Relative RMSE over pixels and bands, against what the two `halves` are noisy pictures of.
+    """Relative RMSE over pixels and bands, against the expectation of the two noisy `halves`.
 
-    Their noise is independent, so it drops out of the mean of products, as long as `found` has
-    neither's seed. What is less than the standard error of that mean counts as that.
+    The noise of the halves is independent and cancels in the mean of products, as long as `found`
+    has neither's seed. The result is at least the standard error of that mean.
     """
     return distance((found, found), halves)
 
 
 def distance(found, halves):
-    """The same of two `found` halves, whose own noise drops out, too."""
+    """The same for two `found` halves, whose noise cancels too."""
     products = ((found[0] - halves[0]) * (found[1] - halves[1])).mean(axis=-1)
     least = products.std() / np.sqrt(products.size)
     return float(np.sqrt(max(least, products.mean()) / np.mean(halves[0] * halves[1])))
 
 
 def flicker(found, halves):
-    """Relative RMSE of the change from frame to frame: how much of it is not the scene's.
+    """Relative RMSE of the change from frame to frame, compared with that of the reference.
 
     found (frames, ...), halves (frames, 2, ...)
     """
@@ -141,14 +142,14 @@ def flicker(found, halves):
 
 
 def noise(halves):
-    """The relative RMSE of the mean of both."""
+    """The relative RMSE of the mean of both halves."""
     return float(
         np.sqrt(np.mean((halves[0] - halves[1]) ** 2) / 4 / np.mean(halves[0] * halves[1]))
     )
 
 
 def brightness(found, halves):
-    """The mean of `found` over that of the reference, in the band where that is farthest from 1."""
+    """The mean of `found` relative to the reference, in the band where this is farthest from 1."""
     ratios = found.mean(axis=(0, 1)) / halves.mean(axis=(0, 1, 2))
     return float(ratios[np.argmax(np.abs(ratios - 1))])
 
@@ -164,11 +165,11 @@ def blocks(pictures, edge=BLOCK):
 
 
 def graded(picture, white):
-    """Radiance as values of a screen, 0 to 1; `white` is the radiance that is white."""
+    """Radiance as display values, 0 to 1; `white` is the radiance of white."""
     linear = np.clip(picture / white, 0, 1)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def difference(found, wanted, white, gain=4):
-    """`gain` times the difference, about grey."""
+    """`gain` times the difference, around grey."""
     return np.clip(0.5 + gain / 2 * (found - wanted) / white, 0, 1)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots of docs/theory/free-paths.md: speeds from build/bench/freepath-head.json, bounds made
-anew."""
+"""Plots of free-path sampling for docs/: speeds from build/bench/freepath-head.json, and majorants
+along rays, which are computed here."""
 
 import json
 from pathlib import Path
@@ -29,13 +29,13 @@ COLORS = {
     "woodcock": "#d99a2b",
 }
 NAMES = {
-    "supervoxel_constant": "constant bound",
-    "supervoxel_linear": "linear bound",
+    "supervoxel_constant": "constant majorant",
+    "supervoxel_linear": "linear majorant",
     "ray_march": "ray marching",
     "woodcock": "Woodcock",
 }
 HEAD_SIZE = 20  # voxels along an edge of a super-voxel: about 16^3 of them
-HEAD_AT = (0.45, 0.5)  # where the ray passes, as shares of the head's height and width
+HEAD_AT = (0.45, 0.5)  # position of the ray, as shares of the head's height and width
 NOISE = {"resolution": 4096, "coarsest": 4, "seed": 1, **CONTRASTS["middle"]}
 NOISE_CELLS = 32
 SAMPLES = 2000  # along a ray
@@ -95,7 +95,7 @@ def bound_along(bound, points):
 
 
 def line(begin, end):
-    """Points (SAMPLES, 3) on the way, its ends left out."""
+    """Points (SAMPLES, 3) along the line, without its ends."""
     share = (np.arange(SAMPLES)[:, None] + 0.5) / SAMPLES
     return np.asarray(begin) + share * np.subtract(end, begin)
 
@@ -127,8 +127,8 @@ def noise_panel(panel):
 def draw_bounds(panel, density, constant, linear):
     way = (np.arange(SAMPLES) + 0.5) / SAMPLES
     panel.fill_between(way, density, color=COLORS["density"], lw=0, label="density")
-    panel.plot(way, constant, lw=1, color=COLORS["constant"], label="constant bound")
-    panel.plot(way, linear, lw=1.2, color=COLORS["linear"], label="linear bound")
+    panel.plot(way, constant, lw=1, color=COLORS["constant"], label="constant majorant")
+    panel.plot(way, linear, lw=1.2, color=COLORS["linear"], label="linear majorant")
     panel.set_xlim(0, 1)
     panel.set_ylim(0)
     panel.tick_params(labelsize=7)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a preview takes, and how much of its light has scattered more than once.
+"""Cost of a preview, and the share of its light that has scattered more than once.
 
 Run it with `python -m tests.benchmarks.preview`; it also draws
 docs/measurements/free-paths/preview.webp.
@@ -17,13 +17,13 @@ from tests.benchmarks import table
 from tests.benchmarks.plots import DOCS
 
 LIGHTS = [Sun((-0.5, 0.6, -0.6), 3.0), Sky(0.15)]
-AWAY = (0.5, 1.0, -0.4)  # the way the camera looks
+AWAY = (0.5, 1.0, -0.4)  # direction of the camera
 SMALL = (80, 60)
 # Of the pictures that are compared, times their optical depth, as most rays pass a thin medium.
 # Both pictures have the same paths, up to where one ends.
 SAMPLES = 40
 DEPTHS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-SECONDS = 8  # that a picture of the documentation refines
+SECONDS = 8  # for which the picture of the documentation refines
 BACKGROUND = 0.04  # of Blender's panels, linear
 
 
@@ -91,7 +91,7 @@ def all_shares():
 
 
 def refined(medium, **options):
-    """({what took how long: s}, the last picture) of a medium."""
+    """({stage: seconds}, the last picture) of a medium."""
     view = View.onto(medium.domain, AWAY)
     start, seconds = perf_counter(), {}
     for picture in pictures(medium, LIGHTS, view, **options):
@@ -106,7 +106,7 @@ def refined(medium, **options):
 
 
 def look(name, medium):
-    """(a row of figures, the picture) of a medium."""
+    """(row of figures, picture) of a medium."""
     seconds, picture = refined(medium)
     start = perf_counter()
     found = statistics(medium)
@@ -124,7 +124,7 @@ def look(name, medium):
 
 
 def draw(picture, histogram):
-    """An image of a picture over the histogram, as they look in a panel."""
+    """An image of a picture above the histogram, as in the panel."""
     picture = picture.repeat(2, axis=0).repeat(2, axis=1)
     seen = picture[..., :3] + (1 - picture[..., 3:]) * BACKGROUND
     bars = histogram[..., :3] * histogram[..., 3:] + (1 - histogram[..., 3:]) * 0.22

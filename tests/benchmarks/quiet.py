@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Waiting for the other processes of a shared machine, so that both of a pair have all cores."""
+"""Waits for other processes of a shared machine, so that a measured pair has all cores."""
 
 import os
 from time import monotonic, sleep
 
-LOOK, IDLE = 0.1, 0.9  # s; the share of it that a quiet machine is idle
+INTERVAL, IDLE = 0.1, 0.9  # s; idle share of it on a quiet machine
 LONGEST = 60  # s
 
 
 def wait(longest=LONGEST):
-    """Return when nothing else runs, or after so many seconds; at once where none can tell."""
+    """Return when no other process runs, or after `longest` seconds; at once if this is unknown."""
     until = monotonic() + longest
     while monotonic() < until:
         before = _idle()
         if before is None:
             return
-        sleep(LOOK)
-        if _idle() - before > IDLE * LOOK * os.cpu_count():
+        sleep(INTERVAL)
+        if _idle() - before > IDLE * INTERVAL * os.cpu_count():
             return
 
 
 def _idle():
-    """Seconds that all cores have been idle in sum, where the system counts them."""
+    """Idle seconds summed over all cores, or None if the system does not count them."""
     try:
         with open("/proc/stat") as lines:
             return int(next(lines).split()[4]) / os.sysconf("SC_CLK_TCK")

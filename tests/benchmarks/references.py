@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What light there is in each case of `media.py`, by traced photons.
+"""Reference light of each case of `media.py`, by traced photons.
 
     python -m tests.benchmarks.references [NAME ...]
 
-traces those that are stored no more or that have changed (or that are named), and stores them in
-tests/references/accuracy.npz and trade.npz, which takes many minutes; the benchmarks only read.
+traces the references that are missing or have changed (or the given ones), and stores them in
+tests/references/accuracy.npz and trade.npz, which takes many minutes. Benchmarks only read them.
 
-Of the media in which speed and accuracy are traded only scattered light is traced. Unscattered
-light is that of many rays (docs/theory/physics.md holds rays to photons): photons' own is noisy in
-patterns, and the noise of a pattern cannot be taken out of an error.
+In the media for the trade of speed against accuracy only scattered light is traced. Uncollided
+light is computed with many rays (docs/theory/physics.md compares rays with photons): the noise of
+photons has patterns there, and such noise cannot be subtracted from an error.
 """
 
 import json
@@ -33,24 +33,24 @@ from tests.benchmarks.media import (
 )
 
 STORES = Path(__file__).parents[1] / "references"
-# Relative standard error, in L2; that of what is traded is taken out of errors of 2 % and more.
+# Relative standard error, in L2; for the trade it is subtracted from errors of 2 % and more.
 TARGETS = {"main": 0.0098, "refined": 0.004, "trade": 0.02, "random": 0.02, "sparse": 0.02}
-RAYS, RAYS_OF_SKY = 24, 16  # along a voxel's edge: four times as many as `solve` takes in these
-PHOTONS = {"main": 400_000, "refined": 200_000}  # of a seed
+RAYS, RAYS_OF_SKY = 24, 16  # along a voxel's edge: four times as many as in `solve`
+PHOTONS = {"main": 400_000, "refined": 200_000}  # per seed
 PHOTONS |= dict.fromkeys(("trade", "random", "sparse"), 100_000)
-# The simplest, but for densities so uneven that it hardly moves on.
+# The simplest sampler, except for densities so uneven that it hardly advances.
 SAMPLERS = dict.fromkeys(TARGETS, "woodcock")
 SAMPLERS |= dict.fromkeys(("random", "sparse"), "supervoxel_constant")
-FEWEST_SEEDS = 8  # for a standard error that is known to a few percent
+FEWEST_SEEDS = 8  # for a standard error accurate to a few percent
 MOST_SEEDS = 100
-# Bits of a number that are kept: to 1 / 4000 and 1 / 250, far below the error.
+# Stored bits of a number: relative precision 1 / 4000 and 1 / 250, far below the error.
 DIGITS = {"accuracy": 11, "trade": 7}
 
 
 @dataclass(frozen=True)
 class Reference:
-    """All light, (nx, ny, nz) W/m^2, and its relative standard error in L2; and that of the light
-    as it is seen, None where that was not kept."""
+    """All light, (nx, ny, nz) W/m^2, and its relative standard error in L2; and the error of the
+    light as it is seen, None if it was not stored."""
 
     light: np.ndarray
     error: float
@@ -58,7 +58,7 @@ class Reference:
 
 
 class References:
-    """The stored references: what was traced of each case, and how."""
+    """The stored references: the traced light of each case, and how it was traced."""
 
     def __init__(self, name="accuracy"):
         self.name, self.path = name, STORES / f"{name}.npz"
@@ -69,7 +69,7 @@ class References:
                 self.light = {name: file[name] for name in self.about}
 
     def __getitem__(self, case):
-        """The `Reference` of a case; KeyError where it is not stored, or is of another medium."""
+        """The `Reference` of a case; KeyError if it is not stored, or if the medium has changed."""
         if not self.holds(case):
             raise KeyError(f"{case.name}: run python -m tests.benchmarks.references")
         about = self.about[case.name]
@@ -82,29 +82,29 @@ class References:
         return about is not None and np.allclose(about["medium"], facts(case.medium), rtol=1e-5)
 
     def add(self, case, light, about):
-        if case.group in ("random", "sparse"):  # of these only what is seen is looked at
+        if case.group in ("random", "sparse"):  # only the visible light of these is used
             light = light * (visibility.weights(case.medium)[0] > 0)
         self.light[case.name] = rounded(light, DIGITS[self.name])
         self.about[case.name] = about | {"medium": facts(case.medium)}
 
     def store(self):
-        partial = self.path.with_name("partial.npz")  # so that nobody reads half of it
+        partial = self.path.with_name("partial.npz")  # so that nobody reads an incomplete file
         np.savez_compressed(partial, about=json.dumps(self.about), **self.light)
         partial.replace(self.path)
 
 
 def facts(medium):
-    """Numbers that tell whether a medium is still the one that was traced."""
-    somewhere = np.linspace(0, 1, medium.density.size)  # so that the voxels' order counts
+    """Numbers that identify the medium that was traced."""
+    somewhere = np.linspace(0, 1, medium.density.size)  # the order of voxels matters
     grids = (medium.density, medium.emission, medium.occlusion)
     sums = [0.0 if grid is None else float(somewhere @ grid.ravel()) for grid in grids]
     return [*sums, float(medium.sigma_s[0]), float(medium.sigma_a[0]), float(medium.g[0])]
 
 
 def measure(case):
-    """All light (nx, ny, nz) of a case, by as many seeds as its target needs, and how it went."""
+    """All light (nx, ny, nz) of a case, with enough seeds for the target error, and a report."""
     start, seeds = perf_counter(), 0
-    exact = None if case.group in ("main", "refined") else unscattered(case)
+    exact = None if case.group in ("main", "refined") else uncollided(case)
     weight = visibility.weights(case.medium)[0]
     total, squares, error = 0.0, 0.0, np.inf
     while seeds < FEWEST_SEEDS or (error > TARGETS[case.group] and seeds < MOST_SEEDS):
@@ -137,8 +137,8 @@ def measure(case):
     }
 
 
-def unscattered(case):
-    """(nx, ny, nz) W/m^2 of light that has not scattered, by rays."""
+def uncollided(case):
+    """(nx, ny, nz) W/m^2 of uncollided light, by rays."""
     medium, found, total = case.medium, device.choose(), 0.0
     glow = [] if medium.emission is None else [Emission(medium)]
     for light in [*case.lights, *glow]:
@@ -148,7 +148,7 @@ def unscattered(case):
 
 
 def rounded(light, digits):
-    """(...) float32 with so many bits: the rest is noise, and noise cannot be compressed."""
+    """(...) float32 rounded to `bits`: further bits are noise, which does not compress."""
     mantissa, exponent = np.frexp(light)
     return np.ldexp(np.round(mantissa * 2**digits) / 2**digits, exponent).astype(np.float32)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The curves and pictures of docs/measurements/renders.md, from what `make bench-render` left in
-build/bench.
+"""The curves and pictures of docs/measurements/renders.md, from the output of `make bench-render`
+in build/bench.
 
 python -m tests.benchmarks.render_plots
 """
@@ -24,14 +24,14 @@ DOCS = Path(__file__).parents[2] / "docs" / "measurements" / "renders"
 GROUPS = "clouds", "trees", "smoke", "teapot"
 TARGET = 0.06
 SHOWN = 16  # samples of our picture
-COLORS = ("#1d6fa5", "#d99a2b", "#7a9a5a")  # Cycles: all bounces, and fewer
+COLORS = ("#1d6fa5", "#d99a2b", "#7a9a5a")  # Cycles: all bounces, and fewer bounces
 OURS = "#c44536"
 TICKS = 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1
-SCALE = 2  # pixels of a drawing for each of a picture
+SCALE = 2  # pixels of the drawing per pixel of a picture
 
 
 def rows_of(group):
-    """{scene: [row]}, as far as it was measured."""
+    """{scene: [row]} of the measured scenes."""
     path = BUILD / f"render-{group}.json"
     found = {}
     for row in json.loads(path.read_text())["rows"] if path.exists() else ():
@@ -126,7 +126,7 @@ def side_by_side(scene, rows):
 
 
 def nearest(rows, light, seconds):
-    """The index of the row of `light` that took nearest to so many seconds."""
+    """The index of the row of `light` whose time is closest to `seconds`."""
     some = [i for i, row in enumerate(rows) if row["light"] == light]
     return min(some, key=lambda i: abs(np.log(rows[i]["processor s"] / seconds)))
 

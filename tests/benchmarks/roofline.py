@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a graphics card can do at most, and a plot of it beside what processors did.
+"""Upper limits of the speed on graphics cards, and a plot of them with measurements on CPUs.
 
     python -m tests.benchmarks.roofline
 
-Counts what a step of the lattice reads, writes and computes for a cell, by its assembly for NVIDIA
-(offline.py), and prints for some cards the voxels a second and the seconds of a solve of 128^3
-voxels that their published bandwidth and arithmetic allow: computed, not measured, for nobody here
-has a card. Writes build/bench/roofline.json, and docs/measurements/performance/roofline.webp,
-where the measured points are those of build/bench/speed-steps.json (`make bench-speed`).
+Counts the bytes and operations per cell of a lattice step in its assembly for NVIDIA (offline.py).
+Prints for several cards the voxels per second and the seconds of a solve of 128^3 voxels that their
+published bandwidth and arithmetic allow. These are computed, not measured. Writes
+build/bench/roofline.json, and docs/measurements/performance/roofline.webp, whose measured points
+are read from build/bench/speed-steps.json (`make bench-speed`).
 """
 
 import json
@@ -26,9 +26,9 @@ from matplotlib import pyplot as plt
 
 DOCS = Path(__file__).parents[2] / "docs" / "measurements" / "performance"
 EDGE, STEPS = 128, 176  # a solve of a cloud to 1 %, as speed.py prints
-CELLS = Cells((EDGE,) * 3).count / EDGE**3  # for a voxel: of the vacuum around them, too
-ROOF_BYTES = CELLS * 2 * 18 * 4  # that the kernel without collisions reads and writes for a voxel
-# GB/s and TFLOP/s in FP32 that the makers publish; typed in from memory, not looked up.
+CELLS = Cells((EDGE,) * 3).count / EDGE**3  # per voxel, including the vacuum around the medium
+ROOF_BYTES = CELLS * 2 * 18 * 4  # read and written per voxel without collisions
+# GB/s and FP32 TFLOP/s published by the makers; typed in from memory, not looked up.
 CARDS = {
     "GeForce RTX 4090": (1008, 82.6),
     "Radeon RX 7900 XTX": (960, 61.4),
@@ -41,7 +41,7 @@ COLORS = {"Intel(R) OpenCL": "#1d6fa5", "Portable Computing Language": "#d99a2b"
 
 
 def of_a_voxel():
-    """Bytes and flops of a step for a voxel."""
+    """Bytes and flops per voxel of a step."""
     there, here = of_a_cell("step_there"), of_a_cell("step_here")
     moved = (here["read"] + here["written"] + there["read"] + there["written"]) / 2
     return CELLS * moved, CELLS * (here["flops"] + there["flops"]) / 2
@@ -62,7 +62,7 @@ def rows(moved, flops):
 
 
 def measured():
-    """The rows of speed.py of this size; none before `make bench-speed`."""
+    """The rows of speed.py of this size; empty before `make bench-speed`."""
     path = BUILD / "speed-steps.json"
     if not path.exists():
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Densities drawn at random, each (nx, ny, nz) of a shape by a generator."""
+"""Random densities (nx, ny, nz), from a shape and a random generator."""
 
 import numpy as np
 

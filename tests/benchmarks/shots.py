@@ -16,7 +16,7 @@ from tests.demo import scenes as demo
 
 SUNS = ((endtoend.FROM_THE_LEFT, endtoend.WHITE),)
 LIGHTS = {"sun": (True, False), "sun and sky": (True, True), "white sky": (False, True)}
-BAKED = "white sky, baked"  # as the next, but what is lit shows the sky's own light, too
+BAKED = "white sky, baked"  # as the previous, but the sky's direct light is baked too
 # (reflectance, transmittance) of leaves in the red, green and blue of the picture.
 GREEN = ((0.05, 0.03), (0.10, 0.09), (0.04, 0.02))
 WHITE = ((0.45, 0.45),) * 3
@@ -31,7 +31,7 @@ SAMPLES = 4, 16, 64  # of Cycles
 FRAMES = 12
 FLAME = (1.0, 0.45, 0.15)  # colour
 STRENGTH = 12.0  # W/(m^3 sr) where the grid `flame` is 1
-SPOUT = 0.285  # m, where what is left of it begins
+SPOUT = 0.285  # m, where the rest of the spout begins
 CLOSED = 128  # voxels along the teapot
 DEPTH = 100.0  # optical, of the teapot over its length of 1 m
 
@@ -42,13 +42,13 @@ class Shot:
 
     group    the part of the benchmark that it belongs to
     build    function of a folder: fills the empty file, returns the objects to light
-    facts    whatever the picture depends on
+    facts    everything that the picture depends on
     bounces  of Cycles: those of the reference, then fewer
-    half     samples of either half of the reference
-    block    pixels along the edge of the means that the error which counts is of
-    ours     samples of our pictures: as many as Cycles has where the edges of leaves are the noise
-    case     the medium, of a cloud
-    options  of ours that are not as the others'
+    half     samples of each half of the reference
+    block    edge, in pixels, of the blocks over which the main error is averaged
+    ours     samples of our pictures: those of Cycles where edges of leaves cause the noise
+    case     the medium of a cloud
+    options  of the bake that differ from the defaults
     """
 
     name: str
@@ -132,8 +132,8 @@ def fire(frame=0):
 
 
 def plume(frame):
-    """(density, flame), each (EDGE, EDGE, EDGE): smoke that rises by 2 voxels from frame to frame
-    off a fire, which flickers."""
+    """(density, flame), each (EDGE, EDGE, EDGE): smoke that rises by 2 voxels per frame above a
+    flickering fire."""
     n = endtoend.EDGE
     x, y, z = media.corners(n)
     curls = np.roll(media.noise(n, np.random.default_rng(3)), 2 * frame, axis=2)
@@ -148,7 +148,7 @@ def plume(frame):
 
 
 def let_shine(material):
-    """The grid `flame` becomes light."""
+    """Let the grid `flame` emit light."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
     volume = next(node for node in nodes if node.type == "PRINCIPLED_VOLUME")
     grid, times = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeMath")
@@ -163,10 +163,10 @@ def let_shine(material):
 
 
 def teapot():
-    """Of the red band of the preset PMMA, and without a surface: a volume material alone.
+    """A teapot with the red band of the preset PMMA, and only a volume material, no surface.
 
-    As it comes it is open, and Cycles loses track of what is inside: this is its hull without the
-    spout, which is too thin and wide open.
+    The original mesh is open, so Cycles cannot tell its inside. This is its hull without the spout,
+    which is too thin and open at the end.
     """
     optics = PRESETS["pmma"]
     albedo = optics.sigma_s[0] / (optics.sigma_s[0] + optics.sigma_a[0])
@@ -183,7 +183,7 @@ def teapot():
 
 
 def closed(mesh, edge=CLOSED):
-    """The outer hull of a `Mesh`, from voxels: `edge` of them along its longest edge."""
+    """The outer hull of a `Mesh`, from a grid of `edge` voxels along its longest edge."""
     triangles = mesh.vertices[mesh.faces]
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     domain = Domain.around(lower, upper, edge, 3)

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How fast the physical lattice steps and solves, in one run, on every runtime.
+"""Speed of the steps and solves of the physical lattice on every runtime, in one run.
 
     python -m tests.benchmarks.speed [steps corrections sweeps solves empty growth problems]
 
-steps   million voxels a second of the paper's kernels, of ours, of ours without its collision (the
-        roof), and of a plain copy, GB/s
-sweeps  seconds of a sun's sweep through a cloud, by itself and with what NumPy makes of it, and of
-        ten steps
-corrections  what a correction by coarser lattices takes, a look at the light, and taking it back,
-        in steps
+steps   million voxels per second of the paper's kernels, of ours, and of ours without collision
+        (the roof), and the speed of a plain copy, GB/s
+sweeps  seconds of a sun's sweep through a cloud, alone and with the work of NumPy, and of ten steps
+corrections  the cost of a correction by coarser lattices, of a check of convergence, and of
+        undoing a correction, in steps
 solves  seconds of whole solves of a cloud by stage, from 32 to 192 voxels along an edge
-empty   processor seconds of whole solves of a cloud that fills its domain, and of smaller ones with
-        empty space around them; the machine's other work does not count
-growth  the same of white cubes, 32 mean free paths deep, with coarser lattices and without
-problems  the paper's two, solved to 1 %, beside its final kernel's 2N steps, scaled from a few
+empty   processor seconds of whole solves of a cloud that fills its domain, and of smaller clouds
+        with empty space around them; other processes are not included
+growth  like solves, for white cubes, 32 mean free paths deep
+problems  the two problems of the paper, solved to 1 %, compared with the 2N steps of its final
+        kernel, scaled from a few steps
 """
 
 import sys
@@ -48,10 +48,10 @@ from tests.benchmarks.table import publish
 
 EDGES = (64, 128, 160)
 SOLVED = (32, 64, 96, 128, 192)
-# Voxels along the edge of a cloud, and empty ones around it: the third fills a tenth of its domain.
+# Voxels along the edge of a cloud, and empty ones around it; the third fills a tenth of its domain.
 EMPTY = ((128, 0), (60, 17), (60, 34), (96, 8), (96, 16))
 STEPS, RUNS = {"paper": 4, "ours": 20}, 4
-SOLVES = 2  # of which the cheaper counts
+SOLVES = 2  # the cheaper one counts
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
 LIGHTS = {"sun": SUN, "even sky": Sky(1.0)}
 
@@ -77,7 +77,7 @@ def steps():
 
 
 def fastest(run):
-    """Seconds of the fastest of some runs, after one that does not count."""
+    """Seconds of the fastest of several runs, after an untimed one."""
     run()
     seconds = []
     for _ in range(RUNS):
@@ -97,13 +97,13 @@ def paper_speed(found, shape, kernel):
 
 
 def stepped(lattice, count):
-    """Wait for the steps, too."""
+    """Take steps and wait for them."""
     lattice.advance(count)
     lattice.queue.finish()
 
 
 def our_level(found, shape):
-    """Of a random medium, started."""
+    """A started `Level` of a random medium."""
     rng = np.random.default_rng(0)
     level = Level(backend_of(found).lattice, rng.uniform(0.1, 2, shape), 0.95, 0.5)
     level.lattice.start(Source(rng.random(shape), np.zeros((3, *shape))))
@@ -130,7 +130,7 @@ def roof(found, shape):
 
 
 def copied(found, shape):
-    """GB/s, read and written, of a copy of as much as the light of a lattice."""
+    """GB/s, read and written, of a copy of the size of the light of a lattice."""
     floats = 18 * Cells(shape).count
     queue, kernels, buffers = _roof(found, 2, 4 * floats)
 
@@ -142,7 +142,7 @@ def copied(found, shape):
 
 
 def _roof(found, buffers, size):
-    """(queue, {name: kernel} of roof.cl, buffers of so many bytes, filled)."""
+    """(queue, {name: kernel} of roof.cl, filled buffers of `size` bytes)."""
     context, queue = device.context(found), device.queue(found)
     roof_cl = str(Path(__file__).with_name("roof.cl"))
     program = device.program(found, ("lattice/layout.cl", roof_cl), (f"GROUP={GROUP}",))
@@ -184,7 +184,7 @@ def corrections():
 
 
 def correction(found, edge):
-    """{what: seconds}."""
+    """{action: seconds}."""
     level = our_level(found, (edge,) * 3)
     lattice = level.lattice
     look, count = ConvergenceMonitor(lattice), STEPS["ours"]
@@ -229,7 +229,7 @@ def empty():
                 "filled": (edge / (edge + 2 * margin)) ** 3,
                 "steps": report.steps,
                 "corrections": report.corrections,
-                "unscattered, s": report.seconds["direct"],
+                "uncollided, s": report.seconds["direct"],
                 "processor s": seconds,
                 "to the full one": seconds / full,
                 "to half the margin": seconds / before[2] if doubled else "",
@@ -243,7 +243,7 @@ def surrounded(medium, margin):
 
 
 def processor_seconds(medium, light, found):
-    """Of all threads, and the report of a solve."""
+    """Processor seconds of all threads, and the report of a solve."""
     taken = []
     for _ in range(SOLVES):
         start = process_time()
@@ -280,7 +280,7 @@ def problems():
                 "voxels": " x ".join(map(str, shape)),
                 "steps": report.steps,
                 "corrections": report.corrections,
-                "unscattered, s": report.seconds["direct"],
+                "uncollided, s": report.seconds["direct"],
                 "lattice, s": report.seconds["solve"],
                 "all, s": seconds,
                 "2N steps of the paper's, s": theirs,

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long a first small solve takes in a fresh process, on every runtime, once binaries are kept.
+"""Time of a first small solve in a fresh process, on every runtime, with cached binaries.
 
     python -m tests.benchmarks.startup
 
-Prints the seconds of each part in the fastest of some fresh processes that find what an earlier one
-has kept: importing NumPy, and the physics; choosing a device, which imports pyopencl and asks the
-drivers; building programs; the rest of a first solve, of 16^3 voxels under a sun; and the sum. A
-second solve in the same process, for comparison. Writes build/bench/startup.json.
+Prints the seconds of each part in the fastest of several fresh processes, which use the caches of
+an earlier one: importing NumPy and the physics; choosing a device, which imports pyopencl and
+queries the drivers; building programs; the remainder of a first solve, of 16^3 voxels under a sun;
+and the sum. A second solve in the same process is printed for comparison. Writes
+build/bench/startup.json.
 """
 
 import json
@@ -22,7 +23,7 @@ RUNS = 7
 
 
 def first(runtime):
-    """{part: s} of this process, in which nothing has been imported yet."""
+    """{part: seconds} of this process, which must not have imported anything yet."""
     clock = Clock()
     import numpy as np
 
@@ -65,16 +66,16 @@ class Clock:
 
 
 def fresh(runtime):
-    """`first` in a process of its own."""
+    """`first` in a separate process."""
     quiet.wait(5)
     command = [sys.executable, "-m", "tests.benchmarks.startup", runtime]
-    # Installed, the extension's modules are compiled once.
+    # An installed extension's modules are compiled once.
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     return json.loads(subprocess.check_output(command, text=True, env=environment))
 
 
 def runtimes():
-    """The platforms' names; asked in a process of its own, for drivers keep what they found."""
+    """The platforms' names, from a separate process, because drivers cache their devices."""
     from lb_lighting.transport import device
 
     return [found.platform.split(",")[0] for found in device.devices()]

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Speed against accuracy: every dial in every medium, and whether the planner keeps its word.
+"""Speed against accuracy: every setting in every medium, and the predictions of the planner.
 
     python -m tests.benchmarks.trade [dials planner bands]
 
-measures all parts, or those named; planner-fixed, planner-random and planner-sparse are parts of
-`planner`: the media of the dials, random media, and those that are mostly void; with /3 behind
-them, every third of these. Errors are of all light, relative, in L2, against traced photons whose
-own noise is taken out (tests/references/trade.npz, made by `python -m
-tests.benchmarks.references`). Columns:
+measures all parts, or the given ones. planner-fixed, planner-random and planner-sparse are parts of
+`planner`: the media of `dials`, random media, and mostly void media; with the suffix /3, every
+third of them. Errors are relative L2 errors of all light against traced photons, whose noise is
+subtracted (tests/references/trade.npz, made by `python -m tests.benchmarks.references`). Columns:
 
-work          processor seconds, over those of the first solve of the run ("reference"): the default
+work          processor seconds, relative to the first solve of the run ("reference"): the default
               settings in the first medium
-error         relative L2 of all light; of `planner`, as it is seen (planning/visibility.py)
-error +-      standard error of that, from the reference's noise
-worst decile  mean |error| of the tenth of the voxels where it is largest, over the mean of the
-              reference's light; noise is in it
+error         relative L2 of all light; in `planner`, of visible light (planning/visibility.py)
+error +-      standard error of the error, from the noise of the reference
+worst decile  mean |error| of the tenth of the voxels with the largest errors, over the mean of the
+              reference, including noise
 balance       |in - absorbed - out| / in
 """
 
@@ -47,9 +46,9 @@ DIALS = {
     "16 voxels and photons, T=2": [("64", {"merge": 2, "handover": 2.0})],
     "model": [("paper, scaled", {"model": "paper"})],
 }
-FINEST = ("cube 8, g 0.85, albedo 0.99", "cloud 20, g 0.85")  # media solved in 128^3 voxels, too
-LONGEST = 60  # s that a solve may be foretold to take to be tried
-ENOUGH = 0.5  # processor seconds below which a solve is timed again
+FINEST = ("cube 8, g 0.85, albedo 0.99", "cloud 20, g 0.85")  # solved in 128^3 voxels too
+LONGEST = 60  # s, the longest predicted time of a solve that is tried
+ENOUGH = 0.5  # processor seconds; a shorter solve is timed again
 
 
 def settings_of(changes, medium):
@@ -59,7 +58,7 @@ def settings_of(changes, medium):
 
 
 def timed(medium, lights, settings, found):
-    """(Field, processor seconds), of two solves where they are short."""
+    """(Field, processor seconds); short solves are timed twice."""
     least = inf
     for _ in range(2):
         start = process_time()
@@ -71,7 +70,7 @@ def timed(medium, lights, settings, found):
 
 
 def lit(case, settings, found):
-    """(Field, processor seconds) of a case, in its own voxels."""
+    """(Field, processor seconds) of a case, in the voxels of the case."""
     if settings.model == "paper":
         field, seconds = timed(paper_units(padded(case.medium)), case.lights, settings, found)
         return cropped(field), seconds
@@ -79,7 +78,7 @@ def lit(case, settings, found):
 
 
 def measured(field, reference, scaled=False, weight=None):
-    """What a `Field` is off; weight is that of each voxel (nx, ny, nz), or None for all alike."""
+    """Errors of a `Field`; weight (nx, ny, nz) is that of each voxel, or None for equal weights."""
     light, truth, noise = all_light(field), reference.light, reference.error
     if weight is None:
         weight = np.ones_like(truth)
@@ -89,8 +88,8 @@ def measured(field, reference, scaled=False, weight=None):
         light = light * float((light * truth).sum() / (light**2).sum())
     size = (weight * truth**2).sum()
     squared = float((weight * (light - truth) ** 2).sum() / size) - noise**2
-    # Of n voxels alike the squared noise is known to sqrt(2/n) of itself, and its product with the
-    # error to 2 error noise / sqrt(n).
+    # For n equal voxels the squared noise has a relative error of sqrt(2/n), and its product with
+    # the error has the error 2 error noise / sqrt(n).
     of_one = noise * np.sqrt((weight**2).sum()) / weight.sum()
     spread = np.hypot(np.sqrt(2) * noise * of_one, 2 * max(squared, 0) ** 0.5 * of_one)
     error = max(squared, 0.0) ** 0.5
@@ -127,10 +126,10 @@ def dials():
 
 
 def planned(cases):
-    """Every quality in some media; what would take long is left out."""
+    """Every quality in some media, without solves that would take long."""
     references, found = References("trade"), device.choose()
     for case in cases:
-        print(case.name, flush=True)  # as some take a minute
+        print(case.name, flush=True)  # some take a minute
         for quality, target in planner.TARGETS.items():
             shown = {"scattered": case.surfaces}
             plan = planner.plan(case.medium, case.lights, quality, found.label, **shown)
@@ -167,8 +166,8 @@ def kept(kinds, every=1, name="planner"):
 
 
 def summary(rows):
-    """By quality: how often the target was met, or the plan said that it would not be, and the time
-    foretold within a factor of two."""
+    """By quality: how often the target was met, or the plan predicted a miss, and how often the
+    predicted time was right within a factor of two."""
     for group, kind in KINDS.items():
         chosen = [row for row in rows if row["kind"] == kind]
         for quality in planner.TARGETS:
@@ -192,7 +191,7 @@ def summary(rows):
 
 
 def bands():
-    """What colour costs, in a cloud: one band, three that are multiples, three that differ."""
+    """The cost of colour in a cloud: one band, three proportional bands, three different bands."""
     found, density = device.choose(), cloud(64)
     unit = None
     kinds = {
@@ -209,7 +208,7 @@ def bands():
 
 
 CASES = {"fixed": trade_cases, "random": random_cases, "sparse": sparse_cases}
-KINDS = {"fixed": "trade", "random": "random", "sparse": "sparse"}  # as the media call them
+KINDS = {"fixed": "trade", "random": "random", "sparse": "sparse"}  # groups of the media
 PARTS = {
     "dials": lambda: [("trade", list(dials()))],
     "planner": lambda: kept(CASES),

@@ -26,7 +26,7 @@ KINDS = {
     "single scattering": ("single scattering", "#3a8f55"),
     "paper, scaled to fit best": ("model", "#9a9a9a"),
 }
-LEAST = 0.003  # what is less is drawn there
+LEAST = 0.003  # smaller errors are drawn here
 COLUMNS = 5
 
 
@@ -35,7 +35,7 @@ def rows_of(name):
 
 
 def front(rows):
-    """The rows than which none is both faster and more right, by work."""
+    """The Pareto front: rows for which no other row is both faster and more accurate, by work."""
     best, found = float("inf"), []
     for row in sorted(rows, key=lambda row: row["work"]):
         if row["error"] < best:
@@ -45,12 +45,12 @@ def front(rows):
 
 
 def way(row):
-    """What a row is, in a few words."""
+    """A short label of a row."""
     return f"{row['dial']} {row['at']}".strip()
 
 
 def fronts():
-    """Error against work in each medium, and the line that nothing lies below."""
+    """Error against work in each medium, and the Pareto front."""
     rows = [row for row in rows_of("trade") if "error" in row]
     names = list(dict.fromkeys(row["case"] for row in rows))
     lines = -(-len(names) // COLUMNS)
@@ -83,7 +83,7 @@ def fronts():
 
 
 def kept():
-    """What the planner foretold against what came: error, and seconds."""
+    """Predictions of the planner against measurements: error and seconds."""
     rows = [row for row in rows_of("planner") if "error" in row]
     figure, (errors, seconds) = plt.subplots(1, 2, figsize=(8, 3.8))
     for quality, color in zip(
@@ -114,7 +114,7 @@ def kept():
 
 
 def table():
-    """Markdown: what lies on each medium's front."""
+    """Markdown: the rows on the front of each medium."""
     rows = [row for row in rows_of("trade") if "error" in row]
     print("| medium | from fast to right: work, error |\n|---|---|")
     for name in dict.fromkeys(row["case"] for row in rows):

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The talk's two videos: seconds a frame to light a cloud of 4096^3 effective voxels.
+"""The talk's two videos: seconds per frame to light a cloud of 4096^3 effective voxels.
 
-In the first the cloud stays, and 5 million photons a frame are traced; in the second it changes,
-with 50 million. Here frames of fewer photons are timed, of two numbers; what a frame takes is a
-part that is the same for all and a part in proportion to the photons, and that is scaled to the
-talk's numbers. The field has 128^3 voxels; super-voxels are 128^3 as in the talk, or as many as
-are chosen.
+In the first video the cloud is constant, with 5 million photons per frame; in the second it
+changes, with 50 million. Frames with two smaller numbers of photons are timed here. The time of a
+frame is a constant plus a part proportional to the photons, which is scaled to the talk's numbers.
+The field has 128^3 voxels; there are 128^3 super-voxels as in the talk, or the automatic number.
 """
 
 import sys
@@ -21,9 +20,9 @@ from tests.benchmarks.freepath_noise import CONTRASTS
 from tests.benchmarks.table import publish
 
 RESOLUTION, CELLS = 4096, 128
-DEPTH, ALBEDO, G = 10.0, 0.99, 0.85  # the first: mean, from face to face
+DEPTH, ALBEDO, G = 10.0, 0.99, 0.85  # the first is the mean from face to face
 SUN = Sun((0.3, 0.2, -0.93), 1.0)
-# Name: (frames of time from one to the next, the talk's photons a frame, the talk's seconds)
+# Name: (time step between frames, the talk's photons per frame, the talk's seconds)
 VIDEOS = {"static": (0.0, 5_000_000, 1.0), "changing": (0.25, 50_000_000, 9.0)}
 PHOTONS = (25_000, 100_000)
 FRAMES = 3
@@ -35,7 +34,7 @@ def mean_density():
 
 
 def frame(number, speed, sigma_t, supervoxel, photons):
-    """(s, the `Field`) of one frame, everything made anew but the programs."""
+    """(seconds, `Field`) of one frame; everything except the programs is rebuilt."""
     start = perf_counter()
     sigma_s, sigma_a = sigma_t * ALBEDO, sigma_t * (1 - ALBEDO)
     medium = PerlinMedium(
@@ -46,7 +45,7 @@ def frame(number, speed, sigma_t, supervoxel, photons):
         seed=number,
         supervoxel=supervoxel,
         tallied=CELLS,
-        flux=False,  # a picture takes the fluence alone
+        flux=False,  # a picture needs only the fluence
     )
     return perf_counter() - start, field
 

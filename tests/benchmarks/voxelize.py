@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Onto 128³ voxels and out of them: a million triangles, and the file of a baked volume."""
+"""Voxelizing a million triangles to 128³ voxels, and writing the file of a baked volume."""
 
 import tempfile
 from pathlib import Path
@@ -21,11 +21,11 @@ from tests.benchmarks.table import publish  # noqa: E402
 COUNT = 1_000_000
 DOMAIN = Domain.around((0, 0, 0), (1, 1, 1), 128, padding=2)
 DOWN = np.array([0.0, 0.6, -0.8])
-TIMES = 3  # of which the best counts: other programs only ever take time away
+TIMES = 3  # the fastest counts, as other processes only slow a run down
 
 
 def leaves(edge):
-    """(COUNT, 3, 3): triangles of about `edge` voxels, anywhere and turned every way."""
+    """(COUNT, 3, 3): triangles of about `edge` voxels at random places and orientations."""
     rng = np.random.default_rng(0)
     reach = edge * DOMAIN.voxel_size
     centers = rng.uniform(reach, 1 - reach, (COUNT, 1, 3))
@@ -33,7 +33,7 @@ def leaves(edge):
 
 
 def seconds_of(action):
-    """(seconds, what it returns)."""
+    """(seconds, result)."""
     seconds = []
     for _ in range(TIMES):
         start = perf_counter()
@@ -56,7 +56,7 @@ def voxelized(edge):
 
 
 def written(name, density):
-    """A file with all grids of scattered light under a sun, of values that nothing compresses."""
+    """Write all grids of scattered light under a sun, with values that do not compress."""
     rng = np.random.default_rng(0)
     names = [*map(flux_grid, AXES), direct_grid(1)]
     light, *rest = rng.uniform(0.1, 1, (1 + len(names), 3, *DOMAIN.shape)).astype(np.float32)

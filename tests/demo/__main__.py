@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The main job on real input: light three scenes and render each without LB light, with it, and
-in LB light alone. Leaves the pictures, and the lit .blend files, in build/demo.
+"""The demo: light three real scenes, and render each without LB light, with it, and with it alone.
+
+Writes the pictures and the lit .blend files to build/demo.
 """
 
 from pathlib import Path
@@ -54,7 +55,7 @@ def light(name, objects, changes):
 
 
 def fall_off(outcome):
-    """A line on how much light is left where the sun's light leaves the medium."""
+    """A line on the transmitted share of the sun's light, where it leaves the medium."""
     density = openvdb.read(str(outcome.path), DENSITY_GRID)
     values = np.empty(outcome.field.domain.shape, np.float32)
     density.copyToArray(values)
@@ -75,7 +76,7 @@ def set_up_render(name):
     scene.cycles.samples = SAMPLES[name]
     scene.cycles.use_denoising = False
     scene.cycles.volume_bounces = 0  # Cycles' default
-    scene.cycles.diffuse_bounces = 0  # the lattice stands for all of them, as in the paper
+    scene.cycles.diffuse_bounces = 0  # the lattice replaces all of them, as in the paper
     scene.render.resolution_x = scene.render.resolution_y = SIZE
     scene.render.image_settings.media_type = "IMAGE"
     scene.render.image_settings.file_format = "PNG"
@@ -84,7 +85,7 @@ def set_up_render(name):
 
 
 def switch_lights_off():
-    """What then remains is emission: LB light."""
+    """Remove all lights, so that only emission remains: LB light."""
     bpy.data.objects["Sun"].hide_render = True
     background = next(n for n in bpy.context.scene.world.node_tree.nodes if n.type == "BACKGROUND")
     background.inputs["Strength"].default_value = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The real inputs of the demo: a tree grown by `m_tree` and the teapot of a Debian package.
 
-Everything is in metres with z up; what is fetched is kept in `build/assets`. No Blender here.
+Everything is in metres with z up. Downloads are cached in `build/assets`. This needs no Blender.
 """
 
 from typing import NamedTuple
@@ -25,26 +25,26 @@ class Mesh(NamedTuple):
 
 # --- The tree ------------------------------------------------------------------------------------
 
-TWIG_RADIUS = 0.015  # m: leaves grow on wood that is thinner than this
+TWIG_RADIUS = 0.015  # m: leaves grow on thinner wood
 LEAF_LENGTH, LEAF_WIDTH = 0.12, 0.07  # m
 
 
 def between(lower, upper):
-    """A property of m_tree drawn evenly from [lower, upper]."""
+    """A property of m_tree with uniform random values in [lower, upper]."""
     prop = m_tree.RandomProperty()
     prop.min, prop.max = lower, upper
     return m_tree.PropertyWrapper(prop)
 
 
 def along(first, last):
-    """A property of m_tree that goes from `first` to `last` along the parent branch."""
+    """A property of m_tree that changes from `first` to `last` along the parent branch."""
     prop = m_tree.SimpleCurveProperty()
     prop.x_min, prop.x_max, prop.y_min, prop.y_max, prop.power = 0, 1, first, last, 1
     return m_tree.PropertyWrapper(prop)
 
 
 def add_branches(parent, seed, length, angle, density, start):
-    """One more order of branches on `parent`: `density` per metre from the fraction `start` on."""
+    """Another order of branches on `parent`: `density` per metre beyond the fraction `start`."""
     branches = m_tree.BranchFunction()
     branches.seed = seed
     branches.length = length
@@ -76,14 +76,14 @@ def grow(seed):
 
 
 def unit(vectors):
-    """(n, 3) vectors of length 1 along the given ones."""
+    """(n, 3) unit vectors along the given ones."""
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def leaf_quads(stalks, directions, rng):
-    """A kite for each leaf: stalks (n, 3) m, directions (n, 3) of the twigs they grow on."""
+    """A kite for each leaf: stalks (n, 3) m, and directions (n, 3) of their twigs."""
     count = len(stalks)
-    # A leaf leaves its twig at an angle, hangs a little, and is turned towards the sky.
+    # A leaf grows at an angle to its twig, hangs a little, and faces the sky.
     axis = unit(directions + unit(rng.normal(size=(count, 3))) + [0, 0, -0.3])
     side = unit(np.cross(axis, [0, 0, 1] + 0.7 * rng.normal(size=(count, 3))))
     size = rng.uniform(0.7, 1.2, (count, 1))
@@ -94,7 +94,7 @@ def leaf_quads(stalks, directions, rng):
 
 
 def scatter(vertices, quads, count, rng):
-    """Points evenly along the twigs -> their places (count, 3) m and a vertex near each."""
+    """Evenly spaced points along the twigs: positions (count, 3) m, and a vertex near each."""
     lengths = np.linalg.norm(vertices[quads[:, 0]] - vertices[quads[:, 2]], axis=1)
     chosen = quads[rng.choice(len(quads), count, p=lengths / lengths.sum())]
     share = rng.uniform(size=(count, 1))
@@ -103,7 +103,7 @@ def scatter(vertices, quads, count, rng):
 
 
 def tree(seed=1, leaves=20_000):
-    """A broadleaf tree of about 7 m -> (wood, leaves), two meshes; each quad of leaves is one."""
+    """A broadleaf tree of about 7 m: (wood, leaves), two meshes; each quad of leaves is a leaf."""
     grown = grow(seed)
     vertices = np.reshape(grown.get_vertices(), (-1, 3)).astype(float)
     faces = np.reshape(grown.get_polygons(), (-1, 4))
@@ -119,7 +119,7 @@ def tree(seed=1, leaves=20_000):
 
 
 def teapot():
-    """The teapot (body, lid, handle, spout) -> a mesh of triangles.
+    """The teapot (body, lid, handle, spout) as a mesh of triangles.
 
     It stands on z = 0, centred on the z axis, and is 1 m long from spout to handle.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the small pictures of docs/user/gallery.md from those that `make demo` left in build."""
+"""Makes the small pictures of docs/user/gallery.md from the output of `make demo` in build."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def main():
     settings = bpy.context.scene.render.image_settings
     settings.media_type, settings.file_format = "IMAGE", "WEBP"
     settings.quality = QUALITY
-    bpy.context.scene.view_settings.view_transform = "Raw"  # the pictures are graded already
+    bpy.context.scene.view_settings.view_transform = "Raw"  # already applied
     for source in sorted((ROOT / "build" / "demo").glob("*.png")):
         image = bpy.data.images.load(str(source))
         image.colorspace_settings.name = "Non-Color"

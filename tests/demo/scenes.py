@@ -11,7 +11,7 @@ from mathutils import Vector
 
 from . import assets
 
-SUN = (0.65, 0.1, -0.75)  # the way the light travels: from the upper left of the pictures
+SUN = (0.65, 0.1, -0.75)  # direction of the light: from the upper left of the pictures
 SUN_IRRADIANCE = 4.0  # W/m^2
 SKY = (0.02, 0.035, 0.065)  # radiance, W/(m^2 sr)
 
@@ -29,7 +29,7 @@ def cloud():
     output, volume = (
         nodes.new(kind) for kind in ("ShaderNodeOutputMaterial", "ShaderNodeVolumePrincipled")
     )
-    # The paper's sigma_t of 0.8 is the share that collides in a voxel, here of 2 m / 128.
+    # The paper's sigma_t of 0.8 is the share that collides in a voxel, here 2 m / 128.
     extinction = -np.log(1 - 0.8) / (2 / 128)
     volume.inputs["Density"].default_value = extinction
     volume.inputs["Color"].default_value = (0.99, 0.99, 0.99, 1)
@@ -63,7 +63,7 @@ def teapot():
 
 
 def write_noise(path, edge, seed):
-    """A cumulus in [-1, 1]^3 m: overlapping puffs, roughened by fractal noise; its path."""
+    """Write a cumulus in [-1, 1]^3 m, overlapping puffs with fractal noise, and return its path."""
     import openvdb
 
     axis = (np.arange(edge) + 0.5) / edge * 2 - 1
@@ -89,7 +89,7 @@ def write_noise(path, edge, seed):
 
 
 def fractal_noise(edge, rng, exponent=4.2):
-    """(edge, edge, edge) noise of unit variance whose power falls like frequency^-exponent."""
+    """(edge, edge, edge) noise of unit variance with a power spectrum of frequency^-exponent."""
     frequency = np.fft.fftfreq(edge) * edge
     half = np.fft.rfftfreq(edge) * edge
     k = np.sqrt(frequency[:, None, None] ** 2 + frequency[:, None] ** 2 + half**2)
@@ -116,7 +116,7 @@ def surface(name, color, roughness=0.9):
 
 
 def leaf_material():
-    """Half of the light that a leaf does not absorb is reflected, half passes through it."""
+    """A leaf reflects half of the light that it does not absorb, and transmits half."""
     material = bpy.data.materials.new("Leaf")
     tree = material.node_tree
     tree.nodes.clear()
@@ -141,7 +141,7 @@ def ground():
 
 
 def surroundings(target, distance, height):
-    """Sun, sky and a camera `distance` m from `target`, `height` m above it."""
+    """Add sun, sky and a camera `distance` m from `target`, `height` m above it."""
     scene = bpy.context.scene
     lamp = bpy.data.lights.new("Sun", "SUN")
     lamp.energy = SUN_IRRADIANCE

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How different people find pictures: the mean of NVIDIA's FLIP.
+"""Perceived differences between pictures: the mean of NVIDIA's FLIP.
 
     python flip.py PAIRS.npz RESULT.npz
 
 PAIRS.npz: wanted (rows, columns, 3) and found (pictures, rows, columns, 3), linear radiance;
-white, the radiance that is white on the screen
+white, the radiance displayed as white
 RESULT.npz: flip (pictures,), 0 for no difference to 1
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 
 def seen(picture, white):
-    """What a screen shows, in sRGB from 0 to 1."""
+    """Display values in sRGB, from 0 to 1."""
     linear = np.clip(picture / white, 0, 1)
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return curved.astype(np.float32)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""lbmpy's steps of a D3Q19 lattice: FP32, all 19 directions, one fluid, nothing but cells, OpenMP.
+"""lbmpy's steps of a D3Q19 lattice: FP32, all 19 directions, one fluid, only cells, OpenMP.
 
     python lbmpy_run.py EDGE THREADS
 
-Generates and compiles the candidates for EDGE^3 cells (a minute or two), and prints a line with the
-list of their names. Then, for every line "INDEX STEPS" on its standard input, an even number of
-steps, it lets that candidate take them and prints the seconds.
+Generates and compiles the candidates for EDGE^3 cells (a minute or two), and prints the list of
+their names in one line. For every line "INDEX STEPS" on its standard input, with an even number of
+steps, it then runs the steps of that candidate and prints the seconds.
 """
 
 import json
@@ -21,7 +21,7 @@ from lbmpy.advanced_streaming.utility import get_timesteps, is_inplace
 
 PATTERNS = ("esotwist", "esopull", "aa", "pull")
 METHODS = (Method.SRT, Method.TRT)
-LANES = 8  # of AVX2, in intrinsics; 0 leaves vectors to the compiler
+LANES = 8  # of AVX2, by intrinsics; 0 leaves vectorization to the compiler
 ALIGNMENT = 64  # bytes, of the first cell
 
 
@@ -36,7 +36,7 @@ def lattice(edge):
 
 
 def configuration(threads, lanes):
-    """How pystencils is to make C++ of it."""
+    """The configuration with which pystencils generates C++."""
     config = ps.CreateKernelConfig(
         target=ps.Target.X86_AVX, default_dtype="float32", ghost_layers=1
     )
@@ -49,7 +49,7 @@ def configuration(threads, lanes):
 
 
 class Candidate:
-    """One of lbmpy's steps; two kernels in turn if in place, two lattices if not."""
+    """One of lbmpy's steps: two alternating kernels in place, or two lattices."""
 
     def __init__(self, edge, threads, pattern, method, lanes):
         self.name = f"{pattern}, {method.name}, {'AVX2' if lanes else 'compiler'}"
@@ -74,7 +74,7 @@ class Candidate:
             self.kernels.append(ps.create_kernel(rule, config).compile())
 
     def seconds(self, steps):
-        """Of so many steps."""
+        """Seconds of the given steps."""
         there = dict(zip(("src", "dst"), self.lattices, strict=False))
         back = dict(zip(("src", "dst"), self.lattices[::-1], strict=False))
         begin = perf_counter()

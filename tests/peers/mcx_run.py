@@ -4,19 +4,19 @@
     python mcx_run.py PROBLEM.npz RESULT.npz
 
 PROBLEM.npz (lengths in voxels, nothing reflects or refracts):
-    levels    (nx, ny, nz) uint8, 0 to 254: which row of the coefficients a voxel has
+    levels    (nx, ny, nz) uint8, 0 to 254: the row of the coefficients of each voxel
     sigma_s, sigma_a  (255,)
     g         mean cosine of the Henyey-Greenstein phase function
-    source    "planar", all over the face z = 0, or "pencil", into its middle; both along +z
-    photons   of each run
+    source    "planar", over the face z = 0, or "pencil", into its middle; both along +z
+    photons   per run
     seeds     (runs,)
-    threads   (runs, 2), in all and in a block; 0 leaves both to MCX
+    threads   (runs, 2), in total and per block; 0 leaves both to MCX
 RESULT.npz:
-    fluence   (nx, ny, nz), mean of the runs: for one photon of energy 1, length of its paths, by
-              the energy that it still has, over volume
+    fluence   (nx, ny, nz), mean of the runs, for one photon of energy 1: path length weighted by
+              the remaining energy, over volume
     absorbed  (runs,) share of the energy
-    kernel    (runs,) s, by MCX's own count: the kernel alone
-    seconds   (runs,) s of the whole call, in which MCX builds its program
+    kernel    (runs,) s of the kernel alone, as reported by MCX
+    seconds   (runs,) s of the whole call, including the build of MCX's program
 """
 
 import sys
@@ -29,9 +29,9 @@ FOREVER = 1e-6  # s: light travels 300000 voxels of 1 mm
 
 
 def settings(problem):
-    """What all runs have in common."""
+    """The settings that all runs share."""
     nx, ny = problem["levels"].shape[:2]
-    coefficients = np.zeros((256, 4), np.float32)  # row 0 is outside: label 0 ends a path
+    coefficients = np.zeros((256, 4), np.float32)  # row 0 is outside, where a path ends
     coefficients[1:, 0], coefficients[1:, 1] = problem["sigma_a"], problem["sigma_s"]
     coefficients[1:, 2], coefficients[:, 3] = problem["g"], 1
     planar = str(problem["source"]) == "planar"
@@ -52,13 +52,13 @@ def settings(problem):
         "tstart": 0,
         "tend": FOREVER,
         "tstep": FOREVER,
-        # For this device MCX chooses float atomics, which OpenCL C has from version 2 on.
+        # MCX chooses float atomics for this device, which need OpenCL C 2.
         "compileropt": "-cl-std=CL3.0",
     }
 
 
 def layout(threads):
-    """MCX's settings for (threads in all, threads in a block)."""
+    """MCX's settings for (threads in total, threads per block)."""
     total, block = map(int, threads)
     return {"autopilot": 0, "nthread": total, "nblocksize": block} if total else {"autopilot": 1}
 

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba's pictures of a grey voxel medium in a sun, by `volpath` with every scattering.
+"""Mitsuba's pictures of a grey voxel medium in a sun, by `volpath` with all scatterings.
 
     python mitsuba_cloud.py PROBLEM.npz PICTURES.npz
 
 PROBLEM.npz (lengths in m):
-    density       (nx, ny, nz), linear between the centres of voxels, and 0 beyond the outermost
+    density       (nx, ny, nz), linear between voxel centres, and 0 beyond the outermost
     lower, upper  (3,) corners of the box of voxels
     sigma_t       1/m, extinction at density 1
     albedo, g
-    direction     (3,) of travel of the sun's light
+    direction     (3,) in which the sun's light travels
     irradiance    W/m^2
-    eye           (3,), from where the camera looks at the origin, with z up
-    angle         that it sees, degrees
+    eye           (3,), position of the camera, which looks at the origin, with z up
+    angle         field of view, degrees
     pixels        along an edge of the picture
-    samples       paths for each pixel
+    samples       paths per pixel
     seeds         (pictures,)
 PICTURES.npz:
     pictures      (pictures, pixels, pixels), radiance, row 0 at the bottom
@@ -27,7 +27,7 @@ from mitsuba_image import MANY, Transform, medium
 
 
 def padded(problem):
-    """With a layer of nothing around it: Mitsuba's grids go on beyond their outermost values."""
+    """The grid with a layer of zeros: Mitsuba continues grids beyond their outermost values."""
     lower, upper = problem["lower"], problem["upper"]
     voxel = (upper - lower) / problem["density"].shape
     return problem | {

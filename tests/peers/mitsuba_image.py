@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba's picture of a voxel medium under a sky of radiance 1 from everywhere.
+"""Mitsuba's picture of a voxel medium under a uniform sky of radiance 1.
 
     python mitsuba_image.py PROBLEM.npz PICTURE.npz
 
@@ -8,15 +8,15 @@ PROBLEM.npz (lengths in m):
     lower, upper  (3,) corners of the box of voxels
     sigma_t     (bands,) 1/m, extinction at density 1
     albedo, g   (bands,)
-    direction   (3,) of travel of the camera's parallel rays, aimed at the centre of the box
-    width       of the square that the camera sees, across its rays
+    direction   (3,) of the camera's parallel rays, aimed at the centre of the box
+    width       of the square that the camera sees, perpendicular to its rays
     pixels      along an edge of the picture
-    samples     paths for each pixel and band
+    samples     paths per pixel and band
     seed        int
 PICTURE.npz:
     mean, error  (bands, pixels, pixels), radiance and its standard error, by row and column
-    origins     (pixels, pixels, 3), where the ray through the first corner of each pixel starts
-    right, down  (3,), the edges of a pixel: its rays start evenly on their parallelogram
+    origins     (pixels, pixels, 3), origin of the ray through the first corner of each pixel
+    right, down  (3,), the edges of a pixel; its rays start uniformly on their parallelogram
 """
 
 import sys
@@ -24,7 +24,7 @@ import sys
 import mitsuba as mi
 import numpy as np
 
-mi.set_variant("scalar_rgb")  # the others need a GPU or LLVM's library on the machine
+mi.set_variant("scalar_rgb")  # the others need a GPU or LLVM's library
 mi.set_log_level(mi.LogLevel.Error)
 from mitsuba import ScalarTransform4f as Transform  # noqa: E402 - only now there is a variant
 
@@ -32,7 +32,7 @@ MANY = 1_000_000  # collisions before Russian roulette
 
 
 def medium(problem, band, filter_type="nearest"):
-    """Mitsuba's grids have x fastest and fill [0, 1]^3."""
+    """The medium in Mitsuba, whose grids have x as the fastest axis and fill [0, 1]^3."""
     extinction = problem["density"] * problem["sigma_t"][band]
     grid = np.ascontiguousarray(extinction.transpose(2, 1, 0)[..., None], np.float32)
     size = problem["upper"] - problem["lower"]
@@ -49,13 +49,13 @@ def medium(problem, band, filter_type="nearest"):
             "value": {"type": "rgb", "value": [float(problem["albedo"][band])] * 3},
         },
         "phase": {"type": "hg", "g": float(problem["g"][band])},
-        # Rays towards a sky that is everywhere cost much and tell little.
+        # Light sampling of a uniform sky is expensive and reduces little noise.
         "sample_emitters": False,
     }
 
 
 def camera(problem):
-    """Parallel rays that start outside the box."""
+    """A camera with parallel rays that start outside the box."""
     lower, upper = problem["lower"], problem["upper"]
     direction = problem["direction"] / np.linalg.norm(problem["direction"])
     middle = (lower + upper) / 2
@@ -102,20 +102,20 @@ def scene(problem, band):
 def picture(problem, band):
     """(mean, error) of one band, each (pixels, pixels).
 
-    The integrator gives the mean of the samples, and of their squares, in XYZ; the light is grey,
-    and Y is then the radiance.
+    The integrator returns the mean of the samples and of their squares in XYZ. The light is grey,
+    so Y is the radiance.
     """
     loaded = scene(problem, band)
     values = np.array(mi.render(loaded, seed=int(problem["seed"]) + band), float)
     first = values.shape[2] - len(loaded.integrator().aov_names())
     names = loaded.integrator().aov_names()
     mean, square = (values[..., first + names.index(name)] for name in ("paths.Y", "m2_paths.Y"))
-    variance = np.maximum(0, square - mean**2)  # 0 where no light is lost, but for rounding
+    variance = np.maximum(0, square - mean**2)  # 0 up to rounding where no light is absorbed
     return mean, np.sqrt(variance / (int(problem["samples"]) - 1))
 
 
 def ray_starts(problem):
-    """{origins, right, down}: Mitsuba's own word on where the rays of each pixel start."""
+    """{origins, right, down}: the origins of the rays of each pixel, as reported by Mitsuba."""
     sensor, pixels = mi.load_dict(camera(problem)), int(problem["pixels"])
 
     def start(row, column):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real Blender to test in: `$BLENDER`, one on PATH, or Debian's in a root folder of its own.
+"""A real Blender for tests: `$BLENDER`, one on PATH, or Debian's in a separate root folder.
 
-Debian's is set up once (by root, a few minutes, 3 GB) in the user's cache folder. Run as a
-script, this module sets up what is needed and exits with 3 where that is impossible here.
+Debian's is installed once (as root, a few minutes, 3 GB) in the user's cache folder. Run as a
+script, this module installs it if needed and exits with 3 if that is impossible on this machine.
 """
 
 import fcntl
@@ -37,8 +37,8 @@ PACKAGES = [
     "xvfb",
 ]
 
-# Mounts are made in a namespace of their own and vanish with the command, whatever becomes of it.
-# The checkout is /lb inside, read-only but for build/.
+# Mounts are made in a private namespace, so they disappear with the command in any case. Inside,
+# the checkout is /lb, read-only except build/.
 ENTER = """
 set -e
 root=$1 checkout=$2; shift 2
@@ -53,18 +53,18 @@ exec chroot $root sh -c 'cd /lb && exec "$@"' sh "$@"
 
 
 class UnavailableError(Exception):
-    """Why no real Blender can be had on this machine, in one sentence."""
+    """No real Blender is available; the message is a sentence that says why."""
 
 
 def inside(root, *command):
-    """The command line that runs `command` in the Debian of folder `root`, at the checkout."""
+    """The command line that runs `command` in the Debian at `root`, in the checkout's folder."""
     enter = ["unshare", "--mount", "sh", "-c", ENTER, "sh", str(root), str(ROOT)]
-    # Where this machine keeps its OpenCL drivers is nothing to that Debian.
+    # That Debian must not use the paths of this machine's OpenCL drivers.
     return ["env", "-u", "OCL_ICD_VENDORS", "-u", "LD_LIBRARY_PATH", *enter, *command]
 
 
 def debian_mirror():
-    """The first of apt's own mirrors that has the suite."""
+    """The first of apt's configured mirrors that has the suite."""
     listing = ["apt-get", "indextargets", "--format", "$(REPO_URI)", "Created-By: Packages"]
     for uri in dict.fromkeys(subprocess.check_output(listing, text=True).split()):
         try:
@@ -84,7 +84,7 @@ def install_debootstrap():
 
 
 def build_debian():
-    """Debian with Blender in `DEBIAN`, from nothing."""
+    """Install Debian with Blender in `DEBIAN`, from scratch."""
     if os.geteuid() != 0 or not shutil.which("apt-get"):
         raise UnavailableError(
             "Setting up Debian's Blender needs root on a Debian; set BLENDER to a Blender 5.2."
@@ -93,11 +93,11 @@ def build_debian():
     if DEBIAN.exists():
         shutil.rmtree(DEBIAN)
     install_debootstrap()
-    # Output is long; it goes where a failure can be looked up.
+    # The output is long, so it goes to a log file.
     with (CACHE / "setup.log").open("w") as log:
         run = {"check": True, "stdout": log, "stderr": log, "stdin": subprocess.DEVNULL}
         subprocess.run(["debootstrap", "--variant=minbase", SUITE, DEBIAN, debian_mirror()], **run)
-        # The suite is signed for a week at a time, and mirrors lag behind.
+        # Signatures of the suite expire after a week, and mirrors lag behind.
         apt = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qy"]
         apt += ["-o", "Acquire::Check-Valid-Until=false", "-o", "Acquire::Retries=3"]
         subprocess.run(inside(DEBIAN, *apt, "update"), **run)
@@ -106,7 +106,7 @@ def build_debian():
 
 
 def ensure_debian():
-    """Debian's Blender, set up unless it is there; an interrupted set-up is begun again."""
+    """Install Debian's Blender if it is missing; an interrupted installation restarts."""
     CACHE.mkdir(parents=True, exist_ok=True)
     (ROOT / "build").mkdir(exist_ok=True)
     made_from = hashlib.sha256(" ".join([SUITE, *PACKAGES]).encode()).hexdigest()
@@ -127,7 +127,7 @@ def ensure_debian():
 
 
 def version(blender):
-    """(major, minor) of a Blender, or None where it does not run."""
+    """(major, minor) of a Blender, or None if it does not run."""
     try:
         output = subprocess.run([blender, "--version"], capture_output=True, text=True).stdout
     except OSError:
@@ -137,7 +137,7 @@ def version(blender):
 
 
 def installed():
-    """The user's own Blender, or None where there is none that is new enough."""
+    """The user's Blender, or None if there is none that is new enough."""
     if chosen := os.environ.get("BLENDER"):
         if (version(chosen) or (0, 0)) < OLDEST:
             raise UnavailableError(
@@ -149,9 +149,10 @@ def installed():
 
 
 def launcher():
-    """A function: arguments of a shell command line -> the command line to run at the checkout.
+    """A function that turns a command into the command line that runs it in the checkout.
 
-    The word `blender` in it is the Blender found. Paths are best given relative to the checkout.
+    The word `blender` in the command stands for the Blender that was found. Paths should be
+    relative to the checkout.
     """
     if own := installed():
         if not (shutil.which("xvfb-run") and shutil.which("import")):

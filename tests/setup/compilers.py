@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compilers for graphics cards that are not there: Debian's clang, and ptxas from PyPI; no root.
+"""Offline compilers for graphics cards: Debian's clang, and ptxas from PyPI; no root needed.
 
-They are fetched on the first call (200 MB) and kept in `build/assets`.
+They are downloaded on the first call (200 MB) and cached in `build/assets`.
 """
 
 import os
@@ -18,11 +18,11 @@ AMD, NVIDIA = ("amdgcn-amd-amdhsa", "gfx1030"), ("nvptx64-nvidia-nvcl", "sm_86")
 
 
 class CompileError(Exception):
-    """What a compiler said."""
+    """A compilation failed; the message is the compiler's."""
 
 
 def fetch():
-    """All of it, unless it is there."""
+    """Download everything that is missing."""
     _clang()
     _amd("")
     _nvidia("")
@@ -30,7 +30,7 @@ def fetch():
 
 
 def assembly(source, options, target):
-    """Of the text of a kernel, as a driver would make it with these options."""
+    """The assembly of a kernel's text, as a driver would compile it with these options."""
     clang, libraries, common = _clang()
     triple, processor = target
     command = [clang, "-x", "cl", "-", "-o", "-", "-S", "-O3", "-target", triple]
@@ -58,13 +58,13 @@ def _clang():
 
 
 def _amd(processor):
-    """AMD's own library."""
+    """AMD's device library."""
     bitcode = package("rocm-device-libs") / "usr/lib/x86_64-linux-gnu/amdgcn/bitcode"
     return [f"-mcpu={processor}", f"--rocm-device-lib-path={bitcode}"]
 
 
 def _nvidia(processor):
-    """The open one, for NVIDIA's is in its driver. Denormals as with -cl-denorms-are-zero."""
+    """The open library, as NVIDIA's is part of its driver; with -cl-denorms-are-zero."""
     library = package("libclc-19") / "usr/lib/clc/nvptx64--nvidiacl.bc"
     flags = ["-mlink-builtin-bitcode", str(library), "-fdenormal-fp-math-f32=preserve-sign"]
     given = [word for flag in flags for word in ("-Xclang", flag)]
@@ -86,7 +86,7 @@ def ptxas():
 
 
 def amd_needs(text):
-    """{kernel: {what: number}} by the assembly for AMD."""
+    """{kernel: {resource: number}} from the assembly for AMD."""
     listed = text[text.index("amdhsa.kernels:") : text.index("amdhsa.target:")]
     found = {}
     for kernel in listed.split("\n  - ")[1:]:
@@ -102,7 +102,7 @@ def amd_needs(text):
 
 
 def nvidia_needs(text):
-    """The same by the assembly for NVIDIA, from its assembler."""
+    """{kernel: {resource: number}} from the assembly for NVIDIA, by its assembler."""
     command = [ptxas(), f"-arch={NVIDIA[1]}", "-v", "/dev/stdin", "-o", "/dev/null"]
     found = {}
     for kernel in _run(command, text).split("Compiling entry function '")[1:]:

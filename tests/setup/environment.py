@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make `.venv`, the one environment of demos, tests and benchmarks, or leave it if it is ready.
+"""Make `.venv`, the environment of demos, tests and benchmarks, unless it is ready.
 
-Runs on the machine's own `python3` (3.11 or newer) with nothing but the standard library.
+Runs on the system's `python3` (3.11 or newer) with only the standard library.
 """
 
 import fcntl
@@ -24,11 +24,11 @@ USABLE = "import sys, venv, ensurepip; sys.exit(sys.version_info[:2] != (3, 13))
 
 
 class SetupError(Exception):
-    """What the machine lacks, in one sentence that says what to install."""
+    """The machine lacks something; the message is a sentence that says what to install."""
 
 
 def pythons():
-    """Every place where a Python 3.13 may be, the nearest first."""
+    """Every place where a Python 3.13 may be, in order of preference."""
     if on_path := shutil.which("python3.13"):
         yield on_path
     pyenv = os.environ.get("PYENV_ROOT", os.path.expanduser("~/.pyenv"))
@@ -61,25 +61,25 @@ def find_python():
 
 
 def fingerprint():
-    """Changes with whatever the environment was made from, its place included."""
+    """A hash of the inputs of the environment and of its path."""
     made_from = Path(__file__).read_bytes() + REQUIREMENTS.read_bytes() + str(VENV).encode()
     return hashlib.sha256(made_from).hexdigest()
 
 
 def ready():
-    """Whether `.venv` was finished from exactly these requirements and still has its Python."""
+    """Whether `.venv` is complete, made from exactly these requirements, and still has a Python."""
     return STAMP.is_file() and STAMP.read_text() == fingerprint() and PYTHON.exists()
 
 
 def register_intel_opencl():
-    """Intel's own .icd file names a folder of the machine that built it; write one that is true."""
+    """Write an .icd file with the right path: Intel's names a folder of the build machine."""
     OPENCL_VENDORS.mkdir()
     library = VENV / "lib" / "libintelocl.so"
     (OPENCL_VENDORS / "intel.icd").write_text(f"{library}\n")
 
 
 def build():
-    """The environment from nothing; what an interrupted build left behind is thrown away."""
+    """Make the environment from scratch; remains of an interrupted build are deleted."""
     python = find_python()
     print(f"Setting up .venv with {python} (once; a minute or two)", flush=True)
     shutil.rmtree(VENV, ignore_errors=True)

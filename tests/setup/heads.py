@@ -10,7 +10,7 @@ from tests.setup.debian import package
 
 MAGNETIC = ("mricron-data", "usr/share/mricron/templates/ch2better.nii.gz")
 TOMOGRAPHY = ("invesalius-examples", "usr/share/doc/invesalius-examples/examples/Cranium.inv3")
-SLICES = (108, 256, 256)  # z, y, x: the tomography as it is stored
+SLICES = (108, 256, 256)  # z, y, x: the stored order of the tomography
 
 
 def ch2better():
@@ -23,14 +23,14 @@ def ch2better():
 def cranium():
     """A computed tomography: (256, 256, 108) voxels of 0.957 x 0.957 x 1.5 mm.
 
-    The density is relative to water's, as Hounsfield's units have it: air 0, water 1, bone up to 4.
+    The density is relative to water, from Hounsfield units: air 0, water 1, bone up to 4.
     """
     name, path = TOMOGRAPHY
     with tarfile.open(package(name) / path) as archive:
         matrix = next(entry for entry in archive if entry.name.endswith("matrix.dat"))
         hounsfield = np.frombuffer(archive.extractfile(matrix).read(), "<i2").reshape(SLICES)
     density = 1 + hounsfield.transpose(2, 1, 0) / np.float32(1000)
-    # Scanners give less than -1000 where they did not look.
+    # Scanners write less than -1000 outside their field of view.
     return np.ascontiguousarray(np.maximum(density, 0))
 
 
@@ -44,7 +44,7 @@ def interpolation(count, size):
 
 
 def resampled(values, shape):
-    """`values` (float32, 3 dimensions) on another number of voxels, trilinear."""
+    """`values` (float32, 3 dimensions) resampled trilinearly to another number of voxels."""
     first, second, third = map(interpolation, values.shape, shape)
     planes = second @ values @ third.T
     return (first @ planes.reshape(len(planes), -1)).reshape(shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fetch the wheels that the manifest names, build the extension's zip in `build/`, validate it."""
+"""Download the wheels in the manifest, build the extension's zip in `build/`, and validate it."""
 
 import subprocess
 import sys
@@ -18,12 +18,12 @@ def manifest():
 
 
 def archive():
-    """Where the zip of this version is built."""
+    """The path of the zip of this version."""
     return BUILD / f"{manifest()['id']}-{manifest()['version']}.zip"
 
 
 def fetch(wheel):
-    """Download the wheel of exactly this file name, unless it is there."""
+    """Download the wheel with exactly this file name, unless it exists."""
     if wheel.exists():
         return
     name, version, python, abi, platforms = wheel.stem.split("-")
@@ -40,7 +40,7 @@ def fetch(wheel):
 
 
 def extension_tool(*arguments):
-    """Run the builder of Blender's extension system that the `bpy` wheel carries."""
+    """Run the builder of Blender's extension system, which the `bpy` wheel contains."""
     tool = Path(find_spec("bpy").origin).parent / BUILDER
     subprocess.run([sys.executable, tool, *arguments], check=True)
 

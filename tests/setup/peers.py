@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Other programs that solve the same problems, in an environment of their own: `build/peers`.
+"""Other programs that solve the same problems, in a separate environment: `build/peers`.
 
-It is made on the first call. The scripts that use them are in tests/peers/; they take a problem
-as one .npz file and leave the result as another.
+It is made on the first call. The scripts that use them are in tests/peers/. They read a problem
+from one .npz file and write the result to another.
 """
 
 import fcntl
@@ -24,17 +24,17 @@ SCRIPTS = ROOT / "tests" / "peers"
 
 
 def fingerprint():
-    """Changes with whatever the environment was made from, its place included."""
+    """A hash of the inputs of the environment and of its path."""
     return hashlib.sha256(REQUIREMENTS.read_bytes() + str(VENV).encode()).hexdigest()
 
 
 def ready():
-    """Whether the environment was finished from exactly these requirements."""
+    """Whether the environment is complete and made from exactly these requirements."""
     return STAMP.is_file() and STAMP.read_text() == fingerprint() and PYTHON.exists()
 
 
 def build():
-    """The environment from nothing; what an interrupted build left behind is thrown away."""
+    """Make the environment from scratch; remains of an interrupted build are deleted."""
     shutil.rmtree(VENV, ignore_errors=True)
     pip = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     for command in ([find_python(), "-m", "venv", VENV], [*pip, "--requirement", REQUIREMENTS]):
@@ -45,7 +45,7 @@ def build():
 
 
 def python():
-    """The path of the peers' Python; SetupError says why there is none."""
+    """The path of the peers' Python; raises SetupError if it cannot be made."""
     VENV.parent.mkdir(exist_ok=True)
     with (VENV.parent / "peers.lock").open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -55,7 +55,7 @@ def python():
 
 
 def run(script, **problem):
-    """Let a script of tests/peers/ solve a problem; both it and the result are {name: array}."""
+    """Solve a problem with a script of tests/peers/; problem and result are {name: array}."""
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder, "problem.npz"), Path(folder, "result.npz")
         np.savez(given, **problem)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Print modules and functions too long to read at once; exit code 1 where there are any.
+"""Print modules and functions that are too long; exit code 1 if there are any.
 
     python -m tests.setup.sizes [FOLDER...]     default: lb_lighting tests
 
-A module is too long over 400 lines, a function over 60, its docstring and signature included.
+The limit is 400 lines for a module and 60 for a function with its signature and docstring.
 """
 
 import ast
@@ -15,7 +15,7 @@ MODULE, FUNCTION = 400, 60  # lines
 
 
 def long_ones(path):
-    """Yields a line for the module and each function in it that is too long."""
+    """Yields a line for the module and for each of its functions, if too long."""
     text = path.read_text(encoding="utf-8")
     name, lines = path.relative_to(ROOT), len(text.splitlines())
     if lines > MODULE:
@@ -28,7 +28,7 @@ def long_ones(path):
 
 
 def main(folders):
-    """Print what is too long in the folders; how many there are."""
+    """Print modules and functions that are too long, and return their number."""
     paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
     found = [line for path in paths for line in long_ones(path)]
     print(*found, f"{len(paths)} modules, {len(found)} too long", sep="\n")
