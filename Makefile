@@ -13,7 +13,7 @@ help:
 	@echo "make test-blender  install the extension into a real Blender and test it there"
 	@echo "make package       build and validate the extension's zip in build/"
 	@echo "make bench-NAME    run tests/benchmarks/NAME.py, write build/bench/NAME.json"
-	@echo "make lint          check the style of the code"
+	@echo "make lint          check style and types"
 	@echo "make docs          build the documentation's site into build/docs, and check its links"
 	@echo "make clean         remove what was built, the environment too"
 
@@ -38,6 +38,7 @@ test-blender: package
 lint: environment
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
+	.venv/bin/mypy
 
 # MkDocs' own notice about its next version is not of this project.
 docs: environment
