@@ -99,12 +99,13 @@ def test_what_was_gathered_is_shown_by_the_way_to_the_eye(lb, cycles_shows_grids
         pytest.skip("this Blender's Cycles is built without NanoVDB: it shows no volume grids")
     names = (
         "transport.medium",
-        "transport.lights",
+        "transport.lights.distant",
         "output.vdb",
         "output.volume",
-        "output.shading",
+        "output.shading_volumes",
+        "output.render_settings",
     )
-    medium, lights, vdb, volume, shading = (part(lb, name) for name in names)
+    medium, lights, vdb, volume, shading, settings = (part(lb, name) for name in names)
     domain = medium.Domain((-2.0, -2.0, -2.0), 0.25, (16, 16, 16))
     density = np.zeros(domain.shape, np.float32)
     density[4:12, 4:12, 4:12] = 1
@@ -120,7 +121,7 @@ def test_what_was_gathered_is_shown_by_the_way_to_the_eye(lb, cycles_shows_grids
     vdb.write_vdb(tmp_path / "a.vdb", domain, density, light, {}, grids)
     ob = volume.show_volume(bpy.context, [new_object("source", None)], tmp_path / "a.vdb")
     sun = lights.Sun((0.0, -1.0, 0.0), 1.0)
-    shading.prepare_scene(bpy.context.scene)
+    settings.prepare_scene(bpy.context.scene)
     thin, g, lobes = 0.01, 0.3, 0.2
     shading.shade_volume(ob, "REPLACE", thin, 0.0, g, [sun], 0.0, 1.0, lobes)
     camera(target=(0, 0, 0), width=1)

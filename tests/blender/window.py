@@ -103,7 +103,7 @@ def by_clicks():
             running.redraw()
             yield running.INTERVAL
     click_button(1 / 6)
-    with held("bake, held by us", (operators.LB_OT_bake, "begin"), (operators._Works, "_look")):
+    with held("bake, held by us", (operators.LB_OT_bake, "begin"), (operators._Works, "_outcome")):
         with measured("bake, until it solves"):
             yield from until(solving)
         with measured("bake, solving"):
