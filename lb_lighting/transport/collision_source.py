@@ -25,7 +25,7 @@ from .uncollided.cache import Rays, parts
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_add_missing` is used
 
 
-class CollisionSource:
+class BandSource:
     """The collision source of one band, in the voxels of a box.
 
     power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
@@ -95,9 +95,9 @@ def first_collisions(
     lights: Sequence[Light],
     lit: Mapping[int, BandLight],
     context: Context,
-) -> dict[int, CollisionSource]:
+) -> dict[int, BandSource]:
     """{band: source} of first collisions; adds uncollided light to {band: `BandLight`}."""
-    sources = {band: CollisionSource(medium, box) for band in lit}
+    sources = {band: BandSource(medium, box) for band in lit}
     for number, rays in _each_light(medium, box, lights, context):
         for band, light in lit.items():
             uncollided = rays.cast(band, medium.sigma_t[band])
@@ -116,7 +116,7 @@ def last_collisions(
     traced: Field,
     lit: Mapping[int, BandLight],
     context: Context,
-) -> dict[int, CollisionSource]:
+) -> dict[int, BandSource]:
     """{band: source} of the photons' last collisions.
 
     Adds uncollided light, and what the photons lit before, to {band: `BandLight`}.
@@ -148,7 +148,7 @@ def _add_collided(
     band: int,
     number: int,
     uncollided: casting.Cast,
-    source: CollisionSource,
+    source: BandSource,
     lit: BandLight,
 ) -> None:
     """Add the first collisions of a light to a source."""
@@ -168,7 +168,7 @@ def _add_missing(
     rays: Rays,
     band: int,
     uncollided: casting.Cast,
-    source: CollisionSource,
+    source: BandSource,
     lit: BandLight,
 ) -> None:
     """Add what absorption takes from a uniform sky to a source, as missing light.
@@ -219,7 +219,7 @@ def _cast_forward(
 
 def _traced_source(
     medium: Medium, box: Box, band: int, traced: Field, lit: BandLight
-) -> CollisionSource:
+) -> BandSource:
     """The source of a trace's last collisions; adds what its photons lit to a `BandLight`."""
     assert traced.flux is not None
     lit.fluence += traced.fluence[band]
@@ -228,9 +228,9 @@ def _traced_source(
     for where in lit.energy:
         lit.energy[where] += energy[where][band]
     lit.energy["absorbed"] += energy["lost"][band]
-    source, handed = CollisionSource(medium, box), traced.handed
-    if handed is not None:
-        moments = (handed.power[band], handed.position[band], handed.direction[band])
+    source, last = BandSource(medium, box), traced.collision_source
+    if last is not None:
+        moments = (last.power[band], last.position[band], last.direction[band])
         source.add(casting.Moments(*map(box.of, moments)), 1.0, medium.g[band])
     return source
 

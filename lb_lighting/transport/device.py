@@ -75,7 +75,7 @@ class Device:
 
 
 def _available_memory() -> int:
-    """Bytes of the machine's memory that are free now, or its best guess where none is told."""
+    """Bytes of memory that are free now; all of it where the system reports no more than that."""
     try:
         with open("/proc/meminfo") as lines:
             fields = dict(line.split(":") for line in lines)
@@ -85,7 +85,7 @@ def _available_memory() -> int:
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
-        return 2**63  # not told (Windows): the allocation itself will have to fail
+        return 2**63  # Windows reports neither: too large an allocation fails then
 
 
 def numpy_device() -> Device:
@@ -157,29 +157,29 @@ def devices() -> list[Device]:
     return [*_opencl(), numpy_device()]
 
 
-def choose(wanted: Device | str | None = None) -> Device:
-    """The device that `wanted` names: None, a `Device`, or part of a label, case ignored.
+def choose(choice: Device | str | None = None) -> Device:
+    """The device that `choice` names: None, a `Device`, or part of a label, case ignored.
 
     None takes the first of `devices()` that can be opened. A name that begins like NumPy's loads
     no driver. A name that fits none is a DeviceError that lists them.
     """
-    if isinstance(wanted, Device):
-        return wanted
-    if not wanted:
+    if isinstance(choice, Device):
+        return choice
+    if not choice:
         return next(device for device in devices() if device.is_numpy or _opens(device))
-    wanted, fallback = wanted.strip(), numpy_device()
-    if wanted.casefold().startswith("numpy") and _is_called(fallback, wanted):
+    name, fallback = choice.strip(), numpy_device()
+    if name.casefold().startswith("numpy") and _is_called(fallback, name):
         return fallback
     for device in devices():
-        if _is_called(device, wanted):
+        if _is_called(device, name):
             return device
     known = "; ".join(device.label for device in devices())
-    missing = f"There is no device called '{wanted}'; choose one of: {known}."
+    missing = f"There is no device called '{name}'; choose one of: {known}."
     raise DeviceError(" ".join([*troubles, missing]))
 
 
-def _is_called(device: Device, wanted: str) -> bool:
-    return wanted.casefold() in device.label.casefold()
+def _is_called(device: Device, name: str) -> bool:
+    return name.casefold() in device.label.casefold()
 
 
 def _opens(device: Device) -> bool:

@@ -52,7 +52,7 @@ class PhotonReport(Report):
     photons     how many were traced
     lost        how many were given up after too many steps
     collisions  (bands,) real ones, of all photons
-    energy      as of a `Report`; the sum has two more, "handed" over and "lost"
+    energy      as of a `Report`; the sum has two more, "handover" and "lost"
     """
 
     photons: int = 0
@@ -74,7 +74,7 @@ class Clock:
 
 
 @dataclass
-class Handed:
+class CollisionSource:
     """The collision source of a trace, by the voxel of the collision at which photons stop.
 
     power      (bands, nx, ny, nz) W, of the photons after that collision
@@ -87,7 +87,7 @@ class Handed:
     direction: Floats
 
     @classmethod
-    def empty(cls, bands: int, shape: Sequence[int]) -> "Handed":
+    def empty(cls, bands: int, shape: Sequence[int]) -> "CollisionSource":
         return cls(
             np.zeros((bands, *shape), np.float32),
             np.zeros((bands, 3, *shape), np.float32),
@@ -130,13 +130,13 @@ class Field:
 
     domain    where the voxels are
     fluence   (bands, nx, ny, nz) W/m^2, scattered light; in the paper's model all light
-    direct    (bands, nx, ny, nz) W/m^2, unscattered light; in the paper's model zero
+    direct    (bands, nx, ny, nz) W/m^2, uncollided light; in the paper's model zero
     flux      (bands, 3, nx, ny, nz) W/m^2, net flux of what `fluence` counts; None where a trace
               was asked for none
     variance  (bands, nx, ny, nz) of the fluence, (W/m^2)^2, where the solver is random, else None
     report    a `Report`, of traced photons a `PhotonReport`
-    handed    a `Handed` where photons were handed over, else None
-    by_light  (lights, bands, nx, ny, nz) W/m^2, the unscattered light of each light, in the order
+    collision_source  a `CollisionSource` where photons ended at a handover, else None
+    by_light  (lights, bands, nx, ny, nz) W/m^2, the uncollided light of each light, in the order
               in which they were given, without the medium's own emission; None where it is not
               known apart
     direct_flux  (bands, 3, nx, ny, nz) W/m^2, net flux of what `direct` counts, or None
@@ -150,13 +150,13 @@ class Field:
     flux: Floats | None
     report: Report
     variance: Floats | None = None
-    handed: Handed | None = None
+    collision_source: CollisionSource | None = None
     by_light: Floats | None = None
     direct_flux: Floats | None = None
     forward: Floats | None = None
     scattered: ScatteringMoments | None = None
 
-    def with_unscattered(self) -> "Field":
+    def with_uncollided(self) -> "Field":
         """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""
         if self.direct_flux is None:
             return self

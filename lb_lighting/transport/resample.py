@@ -57,7 +57,7 @@ class Resampling:
         names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
         grids = {name: _mean(getattr(field, name), pieces) for name in names}
         variance = None if field.variance is None else _mean(field.variance, pieces) / pieces**3
-        return replace(field, domain=coarse, variance=variance, handed=None, **grids)
+        return replace(field, domain=coarse, variance=variance, collision_source=None, **grids)
 
 
 def combine(uncollided: Field, scattered: Field, merge: int) -> Field:
