@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The collision source: light at the collision at which the lattice takes it over.
+"""The collision source: light at the collision where the lattice takes over.
 
 That is the first collision, found by exact rays, or a later one, found by photons. Docs:
 docs/theory/physics.md.
@@ -30,8 +30,8 @@ class BandSource:
 
     power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
     reflected  (nx, ny, nz) W/m^2, what opaque voxels send into each voxel
-    place      (3, nx, ny, nz) W/m^2, power times the place of the collisions from the voxel's
-               centre, in voxels
+    place      (3, nx, ny, nz) W/m^2, power times the position of the collisions relative to the
+               voxel's centre, in voxels
     direction  (3, nx, ny, nz) W/m^2, power times the mean direction after the collisions
     """
 
@@ -119,7 +119,8 @@ def last_collisions(
 ) -> dict[int, BandSource]:
     """{band: source} of the photons' last collisions.
 
-    Adds uncollided light, and what the photons lit before, to {band: `BandLight`}.
+    Adds uncollided light, and the light that the photons scored on their way, to
+    {band: `BandLight`}.
     """
     sources = {band: _traced_source(medium, box, band, traced, lit[band]) for band in lit}
     for number, rays in _each_light(medium, box, lights, context):
@@ -171,17 +172,17 @@ def _add_missing(
     source: BandSource,
     lit: BandLight,
 ) -> None:
-    """Add what absorption takes from a uniform sky to a source, as missing light.
+    """Add the light that absorption removes from a uniform sky to a source, as negative power.
 
-    Without absorption a uniform sky lights everything evenly, whatever scatters. What is missing
-    is the light that the medium would emit if it re-emitted all that it absorbs of the sky. So a
-    white medium is exact, and a bright one leaves little to the lattice.
+    Without absorption a uniform sky lights everything evenly, however the medium scatters. The
+    missing light is the light that the medium would emit if it re-emitted all that it absorbs of
+    the sky. So a white medium is exact, and a bright one leaves little to the lattice.
     """
     medium = rays.medium
     assert isinstance(rays.light, Sky)
     assert not callable(rays.light.radiance)
     radiance = float(by_band(rays.light.radiance, medium.bands)[band])
-    # Anything above this is an error of the rays, and would make scattered light negative.
+    # Larger values are errors of the rays, and would make scattered light negative.
     np.minimum(uncollided.direct, 4 * np.pi * radiance, out=uncollided.direct)
     cast, share, mean_cosine = _cast_forward(rays.missing, band, None)
     source.add(cast.collided, -share, mean_cosine)
@@ -220,7 +221,7 @@ def _cast_forward(
 def _traced_source(
     medium: Medium, box: Box, band: int, traced: Field, lit: BandLight
 ) -> BandSource:
-    """The source of a trace's last collisions; adds what its photons lit to a `BandLight`."""
+    """The source of a trace's last collisions; adds the light of its photons to a `BandLight`."""
     assert traced.flux is not None
     lit.fluence += traced.fluence[band]
     lit.flux += traced.flux[band]

@@ -20,14 +20,14 @@ class Report:
     model     which model solved it
     device    the device that ran, as shown to the user
     steps     lattice steps taken
-    corrections  by coarser lattices
-    residual  of the lattice's light, relative (L2), the largest of the bands: the error that
-              stopping leaves, as estimated; in the paper's model its change in the last step
+    corrections  number of corrections by coarser lattices
+    residual  estimated relative error (L2) of the lattice's light where it stopped, the largest
+              of the bands; in the paper's model the relative change in the last step
     seconds   {stage: seconds}
     bytes     memory that the solver allocated, bytes
-    runs      bands that were really solved, of traced photons each light apart; the other bands
-              are multiples of them
-    converged whether the residual came below the tolerance before the steps ran out
+    runs      number of bands that were solved; the other bands are multiples of these. Of a trace,
+              the number of its pairs of a light and a band
+    converged whether the residual reached the tolerance within the allowed steps
     energy    {where: W, (bands,) or (bands, 6)}: "entered" is the sum of "absorbed", "left"
               through the faces -x, +x, -y, +y, -z, +z, and what the kind of report adds to these;
               empty where a model does not count it
@@ -49,10 +49,10 @@ class Report:
 class PhotonReport(Report):
     """A report of tracing photons.
 
-    photons     how many were traced
-    lost        how many were given up after too many steps
-    collisions  (bands,) real ones, of all photons
-    energy      as of a `Report`; the sum has two more, "handover" and "lost"
+    photons     number of traced photons
+    lost        number of photons that were given up after too many steps
+    collisions  (bands,) number of real collisions of all photons
+    energy      as of a `Report`; "handover" and "lost" are two more terms of the sum
     """
 
     photons: int = 0
@@ -75,10 +75,10 @@ class Clock:
 
 @dataclass
 class CollisionSource:
-    """The collision source of a trace, by the voxel of the collision at which photons stop.
+    """The collision source of a trace: moments of the collisions at which photons stop, by voxel.
 
     power      (bands, nx, ny, nz) W, of the photons after that collision
-    position   (bands, 3, nx, ny, nz) W m, power times the place from the voxel's centre
+    position   (bands, 3, nx, ny, nz) W m, power times the position relative to the voxel's centre
     direction  (bands, 3, nx, ny, nz) W, power times the unit direction before the collision
     """
 
@@ -137,11 +137,12 @@ class Field:
     report    a `Report`, of traced photons a `PhotonReport`
     collision_source  a `CollisionSource` where photons ended at a handover, else None
     by_light  (lights, bands, nx, ny, nz) W/m^2, the uncollided light of each light, in the order
-              in which they were given, without the medium's own emission; None where it is not
-              known apart
+              of the lights, without the medium's emission; None where lights are not separated
     direct_flux  (bands, 3, nx, ny, nz) W/m^2, net flux of what `direct` counts, or None
-    forward   (lights, bands, nx, ny, nz) W/m^2, the part of `fluence` that has scattered by small
-              angles alone and still goes about the way of each light; None where it is not known
+    forward   (lights, bands, nx, ny, nz) W/m^2, the part of `fluence` that has scattered by
+              small angles only and still travels close to each light's direction; None where
+              lights are not separated
+    scattered  the `ScatteringMoments` of source iteration, or None
     """
 
     domain: Domain
@@ -157,7 +158,8 @@ class Field:
     scattered: ScatteringMoments | None = None
 
     def with_uncollided(self) -> "Field":
-        """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""
+        """The same field with uncollided light added to `fluence` and `flux`, as in the paper's
+        model."""
         if self.direct_flux is None:
             return self
         assert self.flux is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scattered light that the lattice makes of a collision source."""
+"""The scattered light that the lattice computes from a collision source."""
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def _level(medium: Medium, band: int, source: BandSource, depth: Floats, context
 
 
 def _report_error(error: float, tolerance: float, context: Context) -> None:
-    """Report the lattice's estimated relative error, and the progress that it means."""
+    """Report the lattice's estimated relative error, and the progress that follows from it."""
     monitor = context.monitor
     monitor.check()
     monitor.report_residual(error)
