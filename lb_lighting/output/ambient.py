@@ -2,7 +2,7 @@
 """The light that falls on vertices, and the grids from which a modifier computes it anywhere.
 
 It is the scattered light of a `Field`, as its fluence and flux, or all light, see
-`Field.with_unscattered`. Needs no Blender.
+`Field.with_uncollided`. Needs no Blender.
 """
 
 import itertools

@@ -230,7 +230,7 @@ class BakeTask(SceneTask):
         """
         # The paper's opaque voxels are not dark; they only pass on less of their light.
         occlusion = None if self.options.model == "paper" else problem.medium.occlusion
-        falling = solution.with_unscattered() if self.all_light else solution
+        falling = solution.with_uncollided() if self.all_light else solution
         read = ambient_grids(falling, occlusion) if self.readers else None
         light, others, beams = volume_light(
             solution, problem.lights, self.options.mode, problem.medium.g

@@ -11,8 +11,8 @@ from ..errors import (
     SolverError,
 )
 from .field import (
+    CollisionSource,
     Field,
-    Handed,
     PhotonReport,
     Report,
 )
@@ -44,12 +44,12 @@ __all__ = [
     "SAMPLERS",
     "AreaLight",
     "Cancelled",
+    "CollisionSource",
     "DeviceError",
     "DistantLight",
     "Domain",
     "Field",
     "FreePathSampler",
-    "Handed",
     "Light",
     "LightError",
     "LightingError",

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The backend on an OpenCL device, in float32. Importing this module needs pyopencl."""
 
-from typing import Any
-
-from ..arrays import Array, Floats
+from ..arrays import Floats
 from .device import Device
 from .lattice.lattice_opencl import OpenclLattice
 from .medium import Medium
 from .paper.paper_opencl import PaperLattice
+from .photons.majorants import Problem
 from .photons.majorants_opencl import least_corners
+from .photons.path_grid import PathGrid
 from .photons.paths_opencl import OpenclPaths
+from .photons.tallies import Opaque
 from .preview.preview_opencl import OpenclEye
 from .uncollided.march_opencl import OpenclMarch
+from .uncollided.sweep import Turn, Voxels
 from .uncollided.sweep_opencl import OpenclGlow, OpenclSweep
 
 
@@ -35,22 +37,24 @@ class OpenclBackend:
     ) -> OpenclLattice:
         return OpenclLattice(depth, albedo, g, occlusion, occlusion_albedo, self.device, edge)
 
-    def sweep(self, turn: Any, voxels: Any, directed: bool) -> OpenclSweep:
+    def sweep(self, turn: Turn, voxels: Voxels, directed: bool) -> OpenclSweep:
         return OpenclSweep(turn, voxels, directed, self.device)
 
-    def glow(self, turn: Any, depth: Floats) -> OpenclGlow:
+    def glow(self, turn: Turn, depth: Floats) -> OpenclGlow:
         return OpenclGlow(turn, depth, self.device)
 
-    def march(self, voxels: Any) -> OpenclMarch:
+    def march(self, voxels: Voxels) -> OpenclMarch:
         return OpenclMarch(self.device, voxels)
 
-    def paths(self, grid: Any) -> OpenclPaths:
+    def paths(self, grid: PathGrid) -> OpenclPaths:
         return OpenclPaths(grid, self.device)
 
-    def eye(self, grid: Any, lights: Array, emission: Array | None, opaque: Any) -> OpenclEye:
+    def eye(
+        self, grid: PathGrid, lights: Floats, emission: Floats | None, opaque: Opaque | None
+    ) -> OpenclEye:
         return OpenclEye(grid, self.device, lights, emission, opaque)
 
-    def least_corners(self, problem: Any) -> Floats:
+    def least_corners(self, problem: Problem) -> Floats:
         return least_corners(problem, self.device)
 
     def paper_lattice(self, medium: Medium, keep_absorbed: bool, kernel: str) -> PaperLattice:

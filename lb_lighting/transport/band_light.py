@@ -55,9 +55,10 @@ class BandLight:
 
     @classmethod
     def dark(cls, field: Field, band: int, lights: Sequence[int], in_place: bool) -> "BandLight":
-        """No light yet, from the lights of these numbers.
+        """The light of a band before anything is added.
 
-        in_place  whether to use the field's own grids for all light that is not by light
+        lights    numbers of the lights
+        in_place  whether the totals of all lights are the field's own grids
         """
         assert field.flux is not None
         assert field.direct_flux is not None
@@ -74,13 +75,14 @@ class BandLight:
         return cls(grids[0], grids[1], grids[2], by_light, forward, energy)
 
     def add_uncollided(self, number: int, cast: casting.Cast) -> None:
-        """Add the uncollided light of a light, the number-th of these."""
+        """Add the uncollided light of one of the lights, by its place in the lists."""
         self.by_light[number] += cast.direct
         for flux, toward in zip(self.direct_flux, cast.toward, strict=True):
             flux += toward if np.ndim(toward) else float(toward) * cast.direct
 
     def add_forward_peak(self, number: int, cast: casting.Cast, uncollided: casting.Cast) -> None:
-        """Add the light of the forward peak: what a cast that counts it as uncollided has more."""
+        """Add the forward peak: the light of a cast that counts it as uncollided, less that of a
+        cast that does not."""
         shade = cast.shade.of
         direct, flux = cast.over(uncollided)
         shade(self.fluence)[...] += direct

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which bands are solved, for which lights, and which of them share their rays.
 
-A band whose light is a multiple of another one's is not solved: its multiples are
-{band: factor}, of a solved band, which is one of them.
+A band whose light is a multiple of another band's is not solved. The multiples of a solved band
+are {band: factor}; it is one of them itself.
 """
 
 from collections.abc import Iterable, Sequence
@@ -56,8 +56,8 @@ def group_by_extinction(problems: Iterable[Problem], sigma_t: Floats) -> list[Gr
     """[(numbers of lights, {band: its multiples}, whether the bands are lit for the first time)]:
     successive bands that may share rays.
 
-    These have the same lights and the same extinction. A band that was lit before needs memory of
-    its own, and so is alone in its group.
+    These have the same lights and the same extinction. A band that was lit before needs separate
+    memory, so it is alone in its group.
     """
     groups: list[Group] = []
     lit: set[int] = set()

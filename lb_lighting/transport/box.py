@@ -17,7 +17,8 @@ _MARGIN = 2
 
 @dataclass(frozen=True)
 class Box:
-    """The voxels from `lower` to before `upper` of a domain of `whole` voxels, each (3,) int."""
+    """The voxels from `lower` up to, but without, `upper`, in a domain of `whole` voxels; each
+    (3,) int."""
 
     lower: tuple[int, ...]
     upper: tuple[int, ...]
@@ -25,8 +26,8 @@ class Box:
 
     @classmethod
     def around(cls, grids: Sequence[Array]) -> "Box":
-        """All that is above 0 in any of the grids (nx, ny, nz), and a margin; the domain where
-        there is nothing."""
+        """The box of all voxels where one of the grids (nx, ny, nz) is above 0, with a margin; the
+        whole domain if there are none."""
         whole = grids[0].shape
         ends = [_ends(grids, axis, n) for axis, n in enumerate(whole)]
         filled = [end for end in ends if end is not None]
@@ -51,7 +52,7 @@ class Box:
         return self.shape == self.whole
 
     def of(self, grid: Any) -> Any:
-        """The part of a grid (..., nx, ny, nz) in the box, a view; anything else as it is."""
+        """The part of a grid (..., nx, ny, nz) in the box, a view; other values unchanged."""
         if np.ndim(grid) < 3:
             return grid
         return grid[..., *map(slice, self.lower, self.upper)]
@@ -66,7 +67,7 @@ def matter(medium: Medium, lights: Sequence[Any]) -> Box:
 
 
 def _ends(grids: Sequence[Array], axis: int, n: int) -> tuple[int, int] | None:
-    """(first, end) along an axis; None where there is nothing."""
+    """(first, end) along an axis; None if all grids are 0."""
     across = tuple(other for other in range(3) if other != axis)
     filled = np.flatnonzero(np.any([grid.any(axis=across) for grid in grids], axis=0))
     if not len(filled):

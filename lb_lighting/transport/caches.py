@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where built programs are kept: for the drivers that keep their own, and by us for the others.
+"""The caches of built programs: the drivers', and one of ours for drivers without a cache.
 
-A cache only saves time. Where its folder takes no files, or a file in it is damaged, programs are
-built anew, and nothing else happens.
+A cache only saves time. If its folder is not writable or a file in it is damaged, programs are
+built again.
 """
 
 import contextlib
@@ -12,21 +12,20 @@ import shutil
 import tempfile
 from pathlib import Path
 
-NO_CACHE = "LB_LIGHTING_NO_CACHE"  # in the environment: nothing that was kept before is used
+NO_CACHE = "LB_LIGHTING_NO_CACHE"  # environment variable: cached programs are not used
 _DIGEST = hashlib.sha256().digest_size
-_ROOM = 2**25  # bytes that drivers may well write
-_temporary: list[tempfile.TemporaryDirectory[str]] = []  # folders, as long as the process
+_ROOM = 2**25  # bytes that drivers may need
+_temporary: list[tempfile.TemporaryDirectory[str]] = []  # folders that exist as long as the process
 
 
 def prepare_drivers() -> None:
-    """Give drivers a temporary folder in place of one that takes no files.
+    """Give drivers a temporary folder if they cannot write to their cache.
 
-    Some drivers (PoCL) are not there at all, or end the process, where they cannot keep what they
-    build.
+    Some drivers (PoCL) do not load, or end the process, without a writable cache.
     """
     home = _home()
     pocl = Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl" / "kcache")
-    if NO_CACHE in os.environ or not (_takes_files(home) and _takes_files(pocl)):
+    if NO_CACHE in os.environ or not (_is_writable(home) and _is_writable(pocl)):
         folder = tempfile.TemporaryDirectory(prefix="lb_lighting_", ignore_cleanup_errors=True)
         _temporary.append(folder)
         pocl = Path(folder.name, "pocl")
@@ -34,12 +33,12 @@ def prepare_drivers() -> None:
 
 
 def key(*parts: str) -> str:
-    """The name under which a program is kept that `parts`, texts, determine."""
+    """The cache name of a program that is determined by the texts `parts`."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 def find(name: str) -> bytes | None:
-    """The bytes that `keep` kept under a name, or None where there are none that are whole."""
+    """The bytes that `keep` stored under a name; None if they are missing or damaged."""
     if NO_CACHE in os.environ:
         return None
     try:
@@ -51,9 +50,9 @@ def find(name: str) -> bytes | None:
 
 
 def keep(name: str, binary: bytes) -> None:
-    """Keep bytes under a name, if that is possible."""
+    """Store bytes under a name, if that is possible."""
     path = _path(name)
-    if not path.is_absolute():  # of a user without a home
+    if not path.is_absolute():  # the user has no home
         return
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +60,7 @@ def keep(name: str, binary: bytes) -> None:
         try:
             with open(number, "wb") as file:
                 file.write(hashlib.sha256(binary).digest() + binary)
-            os.replace(half, path)  # so that other processes find all of it or nothing
+            os.replace(half, path)  # other processes see the whole file or none
         except OSError:
             os.unlink(half)
 
@@ -71,19 +70,19 @@ def _path(name: str) -> Path:
 
 
 def _home() -> Path:
-    """The folder of the user's caches; a relative path where the user has no home."""
+    """The folder of the user's caches; a relative path if the user has no home."""
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")  # as on Windows
     return Path(chosen or os.path.expanduser("~/.cache"))
 
 
-def _takes_files(folder: Path) -> bool:
-    """Whether files can be written in a folder, or in the one where it would be made."""
-    if not folder.is_absolute():  # of a user without a home
+def _is_writable(folder: Path) -> bool:
+    """Whether a folder, or the parent in which it would be created, takes files."""
+    if not folder.is_absolute():  # the user has no home
         return False
     try:
-        there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
-        with tempfile.TemporaryFile(dir=there) as file:
+        existing = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+        with tempfile.TemporaryFile(dir=existing) as file:
             file.write(b"as a driver would")
-        return shutil.disk_usage(there).free > _ROOM
+        return shutil.disk_usage(existing).free > _ROOM
     except OSError:
         return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The collision source: light at the collision at which the lattice takes it over.
+"""The collision source: light at the collision where the lattice takes over.
 
 That is the first collision, found by exact rays, or a later one, found by photons. Docs:
 docs/theory/physics.md.
@@ -25,13 +25,13 @@ from .uncollided.cache import Rays, parts
 _MOST_MISSING = 10.0  # absorption depth of voxels up to which `_add_missing` is used
 
 
-class CollisionSource:
+class BandSource:
     """The collision source of one band, in the voxels of a box.
 
     power      (nx, ny, nz) W/m^2, over the squared edge of a voxel
     reflected  (nx, ny, nz) W/m^2, what opaque voxels send into each voxel
-    place      (3, nx, ny, nz) W/m^2, power times the place of the collisions from the voxel's
-               centre, in voxels
+    place      (3, nx, ny, nz) W/m^2, power times the position of the collisions relative to the
+               voxel's centre, in voxels
     direction  (3, nx, ny, nz) W/m^2, power times the mean direction after the collisions
     """
 
@@ -95,9 +95,9 @@ def first_collisions(
     lights: Sequence[Light],
     lit: Mapping[int, BandLight],
     context: Context,
-) -> dict[int, CollisionSource]:
+) -> dict[int, BandSource]:
     """{band: source} of first collisions; adds uncollided light to {band: `BandLight`}."""
-    sources = {band: CollisionSource(medium, box) for band in lit}
+    sources = {band: BandSource(medium, box) for band in lit}
     for number, rays in _each_light(medium, box, lights, context):
         for band, light in lit.items():
             uncollided = rays.cast(band, medium.sigma_t[band])
@@ -116,10 +116,11 @@ def last_collisions(
     traced: Field,
     lit: Mapping[int, BandLight],
     context: Context,
-) -> dict[int, CollisionSource]:
+) -> dict[int, BandSource]:
     """{band: source} of the photons' last collisions.
 
-    Adds uncollided light, and what the photons lit before, to {band: `BandLight`}.
+    Adds uncollided light, and the light that the photons scored on their way, to
+    {band: `BandLight`}.
     """
     sources = {band: _traced_source(medium, box, band, traced, lit[band]) for band in lit}
     for number, rays in _each_light(medium, box, lights, context):
@@ -148,7 +149,7 @@ def _add_collided(
     band: int,
     number: int,
     uncollided: casting.Cast,
-    source: CollisionSource,
+    source: BandSource,
     lit: BandLight,
 ) -> None:
     """Add the first collisions of a light to a source."""
@@ -168,20 +169,20 @@ def _add_missing(
     rays: Rays,
     band: int,
     uncollided: casting.Cast,
-    source: CollisionSource,
+    source: BandSource,
     lit: BandLight,
 ) -> None:
-    """Add what absorption takes from a uniform sky to a source, as missing light.
+    """Add the light that absorption removes from a uniform sky to a source, as negative power.
 
-    Without absorption a uniform sky lights everything evenly, whatever scatters. What is missing
-    is the light that the medium would emit if it re-emitted all that it absorbs of the sky. So a
-    white medium is exact, and a bright one leaves little to the lattice.
+    Without absorption a uniform sky lights everything evenly, however the medium scatters. The
+    missing light is the light that the medium would emit if it re-emitted all that it absorbs of
+    the sky. So a white medium is exact, and a bright one leaves little to the lattice.
     """
     medium = rays.medium
     assert isinstance(rays.light, Sky)
     assert not callable(rays.light.radiance)
     radiance = float(by_band(rays.light.radiance, medium.bands)[band])
-    # Anything above this is an error of the rays, and would make scattered light negative.
+    # Larger values are errors of the rays, and would make scattered light negative.
     np.minimum(uncollided.direct, 4 * np.pi * radiance, out=uncollided.direct)
     cast, share, mean_cosine = _cast_forward(rays.missing, band, None)
     source.add(cast.collided, -share, mean_cosine)
@@ -219,8 +220,8 @@ def _cast_forward(
 
 def _traced_source(
     medium: Medium, box: Box, band: int, traced: Field, lit: BandLight
-) -> CollisionSource:
-    """The source of a trace's last collisions; adds what its photons lit to a `BandLight`."""
+) -> BandSource:
+    """The source of a trace's last collisions; adds the light of its photons to a `BandLight`."""
     assert traced.flux is not None
     lit.fluence += traced.fluence[band]
     lit.flux += traced.flux[band]
@@ -228,9 +229,9 @@ def _traced_source(
     for where in lit.energy:
         lit.energy[where] += energy[where][band]
     lit.energy["absorbed"] += energy["lost"][band]
-    source, handed = CollisionSource(medium, box), traced.handed
-    if handed is not None:
-        moments = (handed.power[band], handed.position[band], handed.direction[band])
+    source, last = BandSource(medium, box), traced.collision_source
+    if last is not None:
+        moments = (last.power[band], last.position[band], last.direction[band])
         source.add(casting.Moments(*map(box.of, moments)), 1.0, medium.g[band])
     return source
 

@@ -22,7 +22,7 @@ from ..arrays import Array
 from ..errors import DeviceError
 from . import caches
 
-WITHOUT_OPENCL = "LB_LIGHTING_WITHOUT_OPENCL"  # in the environment: a sentence that says why
+WITHOUT_OPENCL = "LB_LIGHTING_WITHOUT_OPENCL"  # environment variable: the reason, in a sentence
 
 troubles: list[str] = []  # sentences about devices that should be there but cannot be used
 # The context that drivers are loaded in: they can end a process, or never return.
@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)  # quiet by default: nothing here is above IN
 _SOURCES = Path(__file__).parent.parent / "kernels"
 _BEST_FIRST = ("GPU", "ACCELERATOR", "CPU")
 
-# Denormals cut the speed to a twentieth on CPUs, and no picture sees them.
+# Denormals cut the speed to a twentieth on CPUs, and make no visible difference.
 _BUILD_OPTIONS = "-cl-std=CL1.2 -cl-denorms-are-zero -cl-mad-enable"
 
 
@@ -41,10 +41,10 @@ _BUILD_OPTIONS = "-cl-std=CL1.2 -cl-denorms-are-zero -cl-mad-enable"
 class Device:
     """A device as the user sees it.
 
-    name, platform  as the driver says
+    name, platform  as reported by the driver
     kind            "GPU", "ACCELERATOR", "CPU", or "NumPy"
-    memory          bytes that a solve may use in all
-    largest_buffer  bytes that one buffer may have
+    memory          bytes that a solve may use in total
+    largest_buffer  largest size of one buffer, bytes
     """
 
     name: str
@@ -55,12 +55,12 @@ class Device:
 
     @property
     def is_numpy(self) -> bool:
-        """Whether it is the machine's processor, by NumPy."""
+        """Whether NumPy computes, on the machine's processor."""
         return self.kind == "NumPy"
 
     @property
     def shares_memory(self) -> bool:
-        """Whether the arrays of the host take from the same memory."""
+        """Whether arrays of the host use the same memory."""
         return self.kind in ("CPU", "NumPy")
 
     @property
@@ -75,7 +75,7 @@ class Device:
 
 
 def _available_memory() -> int:
-    """Bytes of the machine's memory that are free now, or its best guess where none is told."""
+    """Bytes of memory that are free now; all of it where the system reports no more than that."""
     try:
         with open("/proc/meminfo") as lines:
             fields = dict(line.split(":") for line in lines)
@@ -85,18 +85,18 @@ def _available_memory() -> int:
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
-        return 2**63  # not told (Windows): the allocation itself will have to fail
+        return 2**63  # Windows reports neither: too large an allocation fails then
 
 
 def numpy_device() -> Device:
-    """The fallback that is always there."""
+    """The fallback, which is always available."""
     memory = _available_memory()
     return Device("NumPy (no OpenCL)", "NumPy", "NumPy", memory, memory)
 
 
 @cache
 def _opencl() -> dict[Device, Any]:
-    """{Device: pyopencl device}, the fastest kind first; empty where there is no OpenCL."""
+    """{Device: pyopencl device}, the fastest kind first; empty without OpenCL."""
     if WITHOUT_OPENCL in os.environ:
         troubles.append(os.environ[WITHOUT_OPENCL])
         return {}
@@ -110,13 +110,13 @@ def _opencl() -> dict[Device, Any]:
 def _load() -> Iterator[tuple[Device, Any]]:
     """Load all drivers; yield (`Device`, pyopencl device) for each that can solve."""
     caches.prepare_drivers()
-    # Its own caches raise errors where a file is damaged, and wait for locks of ended processes.
+    # pyopencl's caches raise errors if a file is damaged, and wait for locks of ended processes.
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
         import pyopencl as cl
     except Exception as error:
-        if getattr(error, "name", None) != "pyopencl":  # it is there, but not whole
-            troubles.append(f"OpenCL cannot be used, for pyopencl does not load ({error}).")
+        if getattr(error, "name", None) != "pyopencl":  # installed, but incomplete
+            troubles.append(f"OpenCL cannot be used: pyopencl does not load ({error}).")
         return
     try:
         platforms = cl.get_platforms()
@@ -157,29 +157,29 @@ def devices() -> list[Device]:
     return [*_opencl(), numpy_device()]
 
 
-def choose(wanted: Device | str | None = None) -> Device:
-    """The device that `wanted` names: None, a `Device`, or part of a label, case ignored.
+def choose(choice: Device | str | None = None) -> Device:
+    """The device that `choice` names: None, a `Device`, or part of a label, case ignored.
 
-    None takes the first of `devices()` that can be opened. A name that begins like NumPy's loads
-    no driver. A name that fits none is a DeviceError that lists them.
+    None takes the first of `devices()` that opens. A name that starts with NumPy's loads no driver.
+    Raises DeviceError, which lists all devices, if none matches.
     """
-    if isinstance(wanted, Device):
-        return wanted
-    if not wanted:
+    if isinstance(choice, Device):
+        return choice
+    if not choice:
         return next(device for device in devices() if device.is_numpy or _opens(device))
-    wanted, fallback = wanted.strip(), numpy_device()
-    if wanted.casefold().startswith("numpy") and _is_called(fallback, wanted):
+    name, fallback = choice.strip(), numpy_device()
+    if name.casefold().startswith("numpy") and _is_called(fallback, name):
         return fallback
     for device in devices():
-        if _is_called(device, wanted):
+        if _is_called(device, name):
             return device
     known = "; ".join(device.label for device in devices())
-    missing = f"There is no device called '{wanted}'; choose one of: {known}."
+    missing = f"There is no device called '{name}'; choose one of: {known}."
     raise DeviceError(" ".join([*troubles, missing]))
 
 
-def _is_called(device: Device, wanted: str) -> bool:
-    return wanted.casefold() in device.label.casefold()
+def _is_called(device: Device, name: str) -> bool:
+    return name.casefold() in device.label.casefold()
 
 
 def _opens(device: Device) -> bool:
@@ -195,7 +195,7 @@ def _opens(device: Device) -> bool:
 
 @cache
 def context(device: Device) -> Any:
-    """The context of an OpenCL device, one a process. DeviceError where it does not open."""
+    """The context of an OpenCL device, one per process. Raises DeviceError if it does not open."""
     import pyopencl as cl
 
     handles = _opencl()
@@ -212,7 +212,7 @@ def context(device: Device) -> Any:
 
 @cache
 def queue(device: Device) -> Any:
-    """The command queue of an OpenCL device, one a process."""
+    """The command queue of an OpenCL device, one per process."""
     import pyopencl as cl
 
     return cl.CommandQueue(context(device))
@@ -220,9 +220,9 @@ def queue(device: Device) -> Any:
 
 @cache
 def program(device: Device, sources: str | tuple[str, ...], defines: tuple[str, ...]) -> Any:
-    """A built program, kept for the process, and on disk for later ones.
+    """A built program, cached for this process and on disk for later ones.
 
-    sources  name of a file in kernels/, or names of files to be built as one
+    sources  name of a file in kernels/, or names of files that are built as one
     defines  tuple of "NAME" or "NAME=value"
     """
     import pyopencl as cl
@@ -232,12 +232,12 @@ def program(device: Device, sources: str | tuple[str, ...], defines: tuple[str, 
     options = [*_BUILD_OPTIONS.split(), *(f"-D{define}" for define in defines)]
     try:
         with warnings.catch_warnings():
-            # Drivers chat about how well they optimized; errors come as exceptions.
+            # Drivers report how well they optimized as warnings; errors are exceptions.
             warnings.simplefilter("ignore", cl.CompilerWarning)
             start = perf_counter()
-            kept = _kept(device, text, options)
-            built = kept or _built(device, text, options)
-            origin = "loaded from the cache" if kept else "built"
+            cached = _cached(device, text, options)
+            built = cached or _built(device, text, options)
+            origin = "loaded from the cache" if cached else "built"
             _log.info("%s: %s in %.2f s", ", ".join(names), origin, perf_counter() - start)
             return built
     except cl.Error as error:
@@ -247,8 +247,8 @@ def program(device: Device, sources: str | tuple[str, ...], defines: tuple[str, 
         ) from error
 
 
-def _kept(device: Device, text: str, options: Sequence[str]) -> Any:
-    """The program as it was built before, or None."""
+def _cached(device: Device, text: str, options: Sequence[str]) -> Any:
+    """The program from the cache, or None."""
     import pyopencl as cl
 
     binary = caches.find(_key(device, text, options))
@@ -258,15 +258,15 @@ def _kept(device: Device, text: str, options: Sequence[str]) -> Any:
 
 
 def _built(device: Device, text: str, options: Sequence[str]) -> Any:
-    """The program, built from its text. Raises pyopencl.Error where that is impossible."""
+    """The program, built from its text. Raises pyopencl.Error if that fails."""
     import pyopencl as cl
     from pyopencl.characterize import has_src_build_cache
 
     built = _usable(cl.Program(context(device), text), options)
     if built is None:
-        # What a driver kept of this text may be damaged; it has kept nothing of a new one.
-        anew = f"{text}\n__constant int unlike_{uuid.uuid4().hex} = 0;\n"
-        return cl.Program(context(device), anew).build(options)
+        # The driver's cache of this text may be damaged; a different text is built again.
+        renamed = f"{text}\n__constant int unlike_{uuid.uuid4().hex} = 0;\n"
+        return cl.Program(context(device), renamed).build(options)
     if not has_src_build_cache(context(device).devices[0]):
         binary = built.get_info(cl.program_info.BINARIES)[0]
         caches.keep(_key(device, text, options), binary)
@@ -274,7 +274,7 @@ def _built(device: Device, text: str, options: Sequence[str]) -> Any:
 
 
 def _usable(program: Any, options: Sequence[str]) -> Any:
-    """A program once it is built, or None where it does not build or has no kernels."""
+    """The program, built; None if it does not build or has no kernels."""
     import pyopencl as cl
 
     try:
@@ -290,15 +290,15 @@ def _key(device: Device, text: str, options: Sequence[str]) -> str:
 
 
 def upload(queue: Any, values: Array, kind: Any = np.float32) -> Any:
-    """A buffer that holds values, as numbers of a kind, for kernels to read.
+    """A read-only buffer of values, converted to a number type.
 
-    OpenCL has no empty buffers: without values it holds one that nothing reads.
+    OpenCL has no empty buffers: without values, the buffer holds one number that nothing reads.
     """
     import pyopencl as cl
 
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    held = np.ascontiguousarray(values if np.size(values) else 0, kind)
-    return cl.Buffer(queue.context, flags, hostbuf=held)
+    array = np.ascontiguousarray(values if np.size(values) else 0, kind)
+    return cl.Buffer(queue.context, flags, hostbuf=array)
 
 
 def zeros(queue: Any, size: int) -> Any:

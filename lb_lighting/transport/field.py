@@ -20,14 +20,14 @@ class Report:
     model     which model solved it
     device    the device that ran, as shown to the user
     steps     lattice steps taken
-    corrections  by coarser lattices
-    residual  of the lattice's light, relative (L2), the largest of the bands: the error that
-              stopping leaves, as estimated; in the paper's model its change in the last step
+    corrections  number of corrections by coarser lattices
+    residual  estimated relative error (L2) of the lattice's light where it stopped, the largest
+              of the bands; in the paper's model the relative change in the last step
     seconds   {stage: seconds}
     bytes     memory that the solver allocated, bytes
-    runs      bands that were really solved, of traced photons each light apart; the other bands
-              are multiples of them
-    converged whether the residual came below the tolerance before the steps ran out
+    runs      number of bands that were solved; the other bands are multiples of these. Of a trace,
+              the number of its pairs of a light and a band
+    converged whether the residual reached the tolerance within the allowed steps
     energy    {where: W, (bands,) or (bands, 6)}: "entered" is the sum of "absorbed", "left"
               through the faces -x, +x, -y, +y, -z, +z, and what the kind of report adds to these;
               empty where a model does not count it
@@ -49,10 +49,10 @@ class Report:
 class PhotonReport(Report):
     """A report of tracing photons.
 
-    photons     how many were traced
-    lost        how many were given up after too many steps
-    collisions  (bands,) real ones, of all photons
-    energy      as of a `Report`; the sum has two more, "handed" over and "lost"
+    photons     number of traced photons
+    lost        number of photons that were given up after too many steps
+    collisions  (bands,) number of real collisions of all photons
+    energy      as of a `Report`; "handover" and "lost" are two more terms of the sum
     """
 
     photons: int = 0
@@ -74,11 +74,11 @@ class Clock:
 
 
 @dataclass
-class Handed:
-    """The collision source of a trace, by the voxel of the collision at which photons stop.
+class CollisionSource:
+    """The collision source of a trace: moments of the collisions at which photons stop, by voxel.
 
     power      (bands, nx, ny, nz) W, of the photons after that collision
-    position   (bands, 3, nx, ny, nz) W m, power times the place from the voxel's centre
+    position   (bands, 3, nx, ny, nz) W m, power times the position relative to the voxel's centre
     direction  (bands, 3, nx, ny, nz) W, power times the unit direction before the collision
     """
 
@@ -87,7 +87,7 @@ class Handed:
     direction: Floats
 
     @classmethod
-    def empty(cls, bands: int, shape: Sequence[int]) -> "Handed":
+    def empty(cls, bands: int, shape: Sequence[int]) -> "CollisionSource":
         return cls(
             np.zeros((bands, *shape), np.float32),
             np.zeros((bands, 3, *shape), np.float32),
@@ -130,18 +130,19 @@ class Field:
 
     domain    where the voxels are
     fluence   (bands, nx, ny, nz) W/m^2, scattered light; in the paper's model all light
-    direct    (bands, nx, ny, nz) W/m^2, unscattered light; in the paper's model zero
+    direct    (bands, nx, ny, nz) W/m^2, uncollided light; in the paper's model zero
     flux      (bands, 3, nx, ny, nz) W/m^2, net flux of what `fluence` counts; None where a trace
               was asked for none
     variance  (bands, nx, ny, nz) of the fluence, (W/m^2)^2, where the solver is random, else None
     report    a `Report`, of traced photons a `PhotonReport`
-    handed    a `Handed` where photons were handed over, else None
-    by_light  (lights, bands, nx, ny, nz) W/m^2, the unscattered light of each light, in the order
-              in which they were given, without the medium's own emission; None where it is not
-              known apart
+    collision_source  a `CollisionSource` where photons ended at a handover, else None
+    by_light  (lights, bands, nx, ny, nz) W/m^2, the uncollided light of each light, in the order
+              of the lights, without the medium's emission; None where lights are not separated
     direct_flux  (bands, 3, nx, ny, nz) W/m^2, net flux of what `direct` counts, or None
-    forward   (lights, bands, nx, ny, nz) W/m^2, the part of `fluence` that has scattered by small
-              angles alone and still goes about the way of each light; None where it is not known
+    forward   (lights, bands, nx, ny, nz) W/m^2, the part of `fluence` that has scattered by
+              small angles only and still travels close to each light's direction; None where
+              lights are not separated
+    scattered  the `ScatteringMoments` of source iteration, or None
     """
 
     domain: Domain
@@ -150,14 +151,15 @@ class Field:
     flux: Floats | None
     report: Report
     variance: Floats | None = None
-    handed: Handed | None = None
+    collision_source: CollisionSource | None = None
     by_light: Floats | None = None
     direct_flux: Floats | None = None
     forward: Floats | None = None
     scattered: ScatteringMoments | None = None
 
-    def with_unscattered(self) -> "Field":
-        """The same, but `fluence` and `flux` count all light, as in the paper's model they do."""
+    def with_uncollided(self) -> "Field":
+        """The same field with uncollided light added to `fluence` and `flux`, as in the paper's
+        model."""
         if self.direct_flux is None:
             return self
         assert self.flux is not None

@@ -45,7 +45,7 @@ _PHOTONS_A_VOXEL = 64
 _FIELD = 1 + 1 + 3 + 3  # numbers a voxel and band: fluence, direct light, both fluxes
 # Likewise of photons: fluence, direct light, flux, variance, collision source.
 _TRACED = 1 + 1 + 3 + 1 + (1 + 3 + 3)
-_TRACING, _CASTING = 0.5, 0.3  # share of the time: about that of photons; of rays in the remainder
+_TRACING, _CASTING = 0.5, 0.3  # shares of the progress: of photons; of rays in what follows
 
 
 def solve(
@@ -80,8 +80,8 @@ def solve(
 def _solve_resampled(
     medium: Medium, lights: Sequence[Any], merge: int, context: Context, needed: int
 ) -> Field:
-    """The `Field` in voxels that are merged, `merge` along each edge; those that are too thick for
-    the lattice are divided for the solve."""
+    """The `Field` in voxels of which `merge` along each edge are merged; voxels that are too thick
+    for the lattice are divided for the solve."""
     merging = Resampling(merge=merge)
     medium, lights = merging.medium(medium), merging.lights(lights)
     pieces, needed = _pieces(medium, context.settings, context.device, len(lights), needed)
@@ -154,7 +154,7 @@ def _solve_group(
 
 
 def _trace(medium: Medium, lights: Sequence[Any], last: float, context: Context) -> Field:
-    """The `Field` of photons up to their last collision; infinity for all."""
+    """The `Field` of photons up to collision number `last`; infinity for all collisions."""
     monitor = context.monitor.part(0.0, _TRACING)
     with context.clock("trace"):
         return trace(
@@ -197,7 +197,7 @@ def _refuse_unfit(medium: Medium, lights: Sequence[Any]) -> None:
 def _pieces(
     medium: Medium, settings: "Settings", device: Device, lights: int, needed: int
 ) -> tuple[int, int]:
-    """(pieces that each voxel's edge is divided in, bytes of memory of such a solve).
+    """(pieces that each voxel's edge is divided into, bytes of memory of such a solve).
 
     Raises MediumError where absorption is so strong that it would need too many pieces, and
     DeviceError where they do not fit. Pieces that only improve the light are left out then.

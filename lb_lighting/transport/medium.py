@@ -15,7 +15,7 @@ from ..arrays import Floats, Spectrum, Vector
 from ..errors import MediumError
 
 LARGEST = float(np.finfo(np.float32).max)  # of any quantity: devices compute in float32
-DEEPEST = 1e30  # optical depth of a voxel that kernels still can square the edge of
+DEEPEST = 1e30  # largest optical depth of a voxel's edge: float32 can still square it
 SMALLEST_EDGE = 3  # voxels: a boundary node on either side and one node between them
 
 
@@ -64,7 +64,7 @@ class Domain:
 
     @property
     def index_to_world(self) -> Floats:
-        """(4, 4), m: voxel centres, at integers, to their places in world space."""
+        """(4, 4), m: from voxel indices (centres are integers) to positions in world space."""
         matrix = np.diag([self.voxel_size] * 3 + [1.0])
         matrix[:3, 3] = np.add(self.origin, self.voxel_size / 2)
         return matrix
@@ -102,7 +102,7 @@ PRESETS = {
 
 
 class BaseMedium:
-    """What all media have: coefficients by band, a place, and voxels that may be computed.
+    """The common interface of media: coefficients by band, a position and voxels.
 
     sigma_s, sigma_a, g  (bands,) float64; sigma_* in 1/m at density 1
     origin               (3,) m, outer corner of voxel (0, 0, 0)
@@ -162,14 +162,14 @@ class Medium(BaseMedium):
     emission    (nx, ny, nz) or (bands, nx, ny, nz), W/m^3 radiated isotropically, or None
     occlusion   (nx, ny, nz) or None, the share (0 to 1) of the light arriving at a voxel that
                 opaque matter in it stops, whatever the density
-    occlusion_albedo  the share (0 to 1) of that which goes back, diffusely, from where it came;
-                scalar, (bands,) or (bands, nx, ny, nz)
+    occlusion_albedo  the share (0 to 1) of the stopped light that is reflected diffusely, to the
+                side that it came from; scalar, (bands,) or (bands, nx, ny, nz)
     shift       (bands, bands) or None: entry [i, j] is the share of the energy absorbed in band j
                 that the medium radiates again in band i, isotropically (fluorescence); no column
                 may sum to more than 1
 
     Attributes are the same, with sigma_s, sigma_a and g as (bands,) float64 arrays.
-    Raises MediumError, naming what and where, for anything that is not physical;
+    Raises MediumError, which names the quantity and the place, for values that are not physical;
     nothing is clamped.
     """
 
@@ -209,7 +209,7 @@ class Medium(BaseMedium):
         return Medium(**{name: getattr(self, name) for name in names} | changes)
 
     def divided(self, pieces: int) -> "Medium":
-        """The same medium, each voxel divided in `pieces` along every edge."""
+        """The same medium, each voxel divided into `pieces` along every edge."""
         grids = ("density", "emission", "occlusion", "occlusion_albedo")
         changes = {name: repeated(getattr(self, name), pieces) for name in grids}
         return self.altered(voxel_size=self.voxel_size / pieces, **changes)
@@ -217,7 +217,7 @@ class Medium(BaseMedium):
     def merged(self, pieces: int) -> "Medium":
         """The same medium in voxels `pieces` times as large, each the mean of those in it.
 
-        Where the edges do not divide evenly it is larger, by empty voxels.
+        Empty voxels are added if the edges do not divide evenly.
         """
         changes = {name: merged(getattr(self, name), pieces) for name in ("density", "emission")}
         if self.occlusion is not None:
@@ -232,13 +232,13 @@ class Medium(BaseMedium):
     def depth(self, sigma: float | np.floating[Any], box: Any = None) -> Floats:
         """(nx, ny, nz) float64, the optical depth of a voxel's edge by the coefficient sigma, 1/m.
 
-        At most 1e30, which float32 can still compute with. With a `Box`, of the voxels in it.
+        At most 1e30, so that float32 can compute with it. With a `Box`, only of the voxels in it.
         """
         density = self.density if box is None else box.of(self.density)
         return np.minimum((sigma * self.voxel_size) * density.astype(float), DEEPEST)
 
     def alike(self, band: int, other: int) -> bool:
-        """Whether light of two bands meets the same, but for the medium's emission."""
+        """Whether two bands have the same coefficients; their emission may differ."""
         values = (self.sigma_s, self.sigma_a, self.g, self.occlusion_albedo)
         return all(np.array_equal(v[band], v[other]) for v in values)
 
@@ -358,7 +358,7 @@ def optics_by_band(
 
 
 def repeated(grid: Any, times: int) -> Any:
-    """A grid (..., nx, ny, nz) with each voxel repeated along every edge; others as they are."""
+    """A grid (..., nx, ny, nz) with each voxel repeated along every edge; others unchanged."""
     if np.ndim(grid) >= 3:
         for axis in (-3, -2, -1):
             grid = grid.repeat(times, axis=axis)
@@ -371,8 +371,8 @@ def deepest(depth: Floats) -> float:
 
 
 def merged(grid: Any, pieces: int) -> Any:
-    """A grid (..., nx, ny, nz) of the means of cubes of `pieces` voxels, with zeros behind its end
-    where these do not fit; None as it is."""
+    """The means of cubes of `pieces` voxels of a grid (..., nx, ny, nz), padded with zeros at the
+    upper ends where the cubes do not fit; None stays None."""
     if grid is None:
         return None
     *outer, nx, ny, nz = grid.shape
@@ -382,7 +382,7 @@ def merged(grid: Any, pieces: int) -> Any:
 
 
 def paper_units(medium: Medium) -> Medium:
-    """The same medium as the paper's lattice reads it: probabilities instead of 1/m.
+    """The same medium in the units of the paper's lattice: probabilities instead of 1/m.
 
     The paper has no unit of length: sigma x density is the share of light that collides on its
     way through a voxel. In a medium of sigma_t per metre that share is 1 - exp(-sigma_t density

@@ -42,13 +42,13 @@ class Footprint:
         return self.total if device.shares_memory else self.on_device
 
     def fits(self, device: Device) -> bool:
-        """Whether a device has room for it."""
+        """Whether it fits into the memory of a device."""
         largest = max(self.device.values())
         return largest <= device.largest_buffer and self.on(device) <= device.memory
 
     def or_larger(self, other: "Footprint") -> "Footprint":
-        """The larger one on the device, and the larger one on the host: of work that does not
-        happen at the same time."""
+        """The larger memory on the device and on the host, of two pieces of work that do not run at
+        the same time."""
         device = max(self.device, other.device, key=lambda buffers: sum(buffers.values()))
         return Footprint(
             device, max(self.host, other.host, key=lambda arrays: sum(arrays.values()))
@@ -61,7 +61,8 @@ def require_memory(
     """Refuse a grid that does not fit, before anything is allocated.
 
     footprint  returns the `Footprint` of a shape
-    Returns the bytes of the shape's; DeviceError names the largest resolution that fits.
+    Returns the bytes that the shape needs. Raises DeviceError with the largest resolution
+    that fits.
     """
     needed = footprint(shape)
     if needed.fits(device):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Progress, cancel and residual of work under way, and the share of it that is at hand."""
+"""Progress, cancellation and residual of a piece of work, and its place in the whole."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ Residual = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Monitor:
-    """Who hears of the work, and which part of the whole it is.
+    """The callbacks that follow a piece of work, and its place in the whole.
 
     progress  called as progress(stage, fraction) with the fraction of the whole, 0 to 1
     cancel    called without arguments; `check` raises `Cancelled` once it returns true
@@ -33,11 +33,11 @@ class Monitor:
         return replace(self, begin=self.begin + self.share * begin, share=self.share * share)
 
     def silent(self) -> "Monitor":
-        """The same without progress: of work that the progress of other work stands for."""
+        """The same monitor without progress."""
         return replace(self, progress=None)
 
     def check(self) -> None:
-        """Raise `Cancelled` where the user has cancelled."""
+        """Raise `Cancelled` if the user has cancelled."""
         if self.cancel is not None and self.cancel():
             raise Cancelled("Cancelled; nothing was changed.")
 
@@ -52,5 +52,5 @@ class Monitor:
             self.residual(error)
 
 
-UNHEARD = Monitor()
-"""The monitor of work that nobody follows."""
+NO_MONITOR = Monitor()
+"""A monitor without callbacks."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scattered light that the lattice makes of a collision source."""
+"""The scattered light that the lattice computes from a collision source."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from ..arrays import Floats
 from ..errors import LightError
 from .backend import backend_of
 from .band_light import BandLight
-from .collision_source import CollisionSource
+from .collision_source import BandSource
 from .context import Context
 from .lattice.convergence import converge
 from .lattice.multigrid import Level
@@ -16,7 +16,7 @@ from .medium import Medium
 
 
 def scatter(
-    medium: Medium, band: int, source: CollisionSource, lit: BandLight, context: Context
+    medium: Medium, band: int, source: BandSource, lit: BandLight, context: Context
 ) -> None:
     """Add the scattered light of a source to the light of its band.
 
@@ -59,9 +59,7 @@ def scatter(
     lit.energy["absorbed"] += watts * (absorbed + stopped)
 
 
-def _level(
-    medium: Medium, band: int, source: CollisionSource, depth: Floats, context: Context
-) -> Level:
+def _level(medium: Medium, band: int, source: BandSource, depth: Floats, context: Context) -> Level:
     """The finest level of a lattice for a band, in the box of a source."""
     occlusion, albedo = map(source.box.of, (medium.occlusion, medium.occlusion_albedo[band]))
     make = backend_of(context.device).lattice
@@ -70,7 +68,7 @@ def _level(
 
 
 def _report_error(error: float, tolerance: float, context: Context) -> None:
-    """Report the lattice's estimated relative error, and the progress that it means."""
+    """Report the lattice's estimated relative error, and the progress that follows from it."""
     monitor = context.monitor
     monitor.check()
     monitor.report_residual(error)

@@ -30,21 +30,21 @@ def add_reemission(field: Field, medium: Medium, solve: Callable[[Medium], Field
         received = emission.sum(axis=(1, 2, 3)) * volume
         if received.sum() <= negligible:
             return
-        given = medium.shift.sum(axis=0) * absorbed.sum(axis=(1, 2, 3)) * volume
-        energy["shifted"] += received - given
-        energy["absorbed"] -= given
+        shifted = medium.shift.sum(axis=0) * absorbed.sum(axis=(1, 2, 3)) * volume
+        energy["shifted"] += received - shifted
+        energy["absorbed"] -= shifted
         latest = solve(medium.altered(emission=emission))
         _add(field, latest)
     field.report.converged = False
 
 
 def _add(field: Field, emitted: Field) -> None:
-    """Add a field of emission; its energy has not entered from anywhere."""
+    """Add a field of emission; its energy did not enter from outside."""
     for name in ("fluence", "direct", "flux", "direct_flux"):
         getattr(field, name)[...] += getattr(emitted, name)
-    report, more = field.report, emitted.report
-    report.steps += more.steps
-    report.residual = max(report.residual, more.residual)
-    report.converged &= more.converged
+    report, added = field.report, emitted.report
+    report.steps += added.steps
+    report.residual = max(report.residual, added.residual)
+    report.converged &= added.converged
     for where in ("absorbed", "left"):
-        report.energy[where] += more.energy[where]
+        report.energy[where] += added.energy[where]

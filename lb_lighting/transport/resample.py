@@ -20,8 +20,8 @@ from .medium import Medium, merged, repeated
 
 @dataclass(frozen=True)
 class Resampling:
-    """The voxels of a solve: `merge` of the medium's along an edge make one, or one is divided in
-    `divide` along its edges."""
+    """The voxels of a solve: `merge` of the medium's along an edge make one, or one is divided
+    into `divide` along its edges."""
 
     merge: int = 1
     divide: int = 1
@@ -57,7 +57,7 @@ class Resampling:
         names = ("fluence", "direct", "flux", "direct_flux", "by_light", "forward")
         grids = {name: _mean(getattr(field, name), pieces) for name in names}
         variance = None if field.variance is None else _mean(field.variance, pieces) / pieces**3
-        return replace(field, domain=coarse, variance=variance, handed=None, **grids)
+        return replace(field, domain=coarse, variance=variance, collision_source=None, **grids)
 
 
 def combine(uncollided: Field, scattered: Field, merge: int) -> Field:
@@ -70,7 +70,7 @@ def combine(uncollided: Field, scattered: Field, merge: int) -> Field:
 
 def between(grid: Any, merge: int, shape: Sequence[int]) -> Any:
     """(..., *shape) of a grid in voxels `merge` times as large: linear between their centres, and
-    constant beyond the outermost ones. None as it is."""
+    constant beyond the outermost ones; None stays None."""
     if grid is None:
         return None
     for axis, n in zip((-3, -2, -1), shape, strict=True):
@@ -84,7 +84,7 @@ def between(grid: Any, merge: int, shape: Sequence[int]) -> Any:
 
 
 def _mean(values: Any, pieces: int) -> Any:
-    """The mean of the pieces of each voxel, of a grid (..., nx, ny, nz); None as it is."""
+    """The mean of the pieces of each voxel, of a grid (..., nx, ny, nz); None stays None."""
     if values is None:
         return None
     *outer, nx, ny, nz = values.shape

@@ -45,42 +45,43 @@ class Model(Protocol):
 MODELS: dict[str, Model] = {"physical": hybrid, "paper": paper}
 KERNELS = ("naive", "final", "coalesced")
 SCATTERINGS = ("multiple", "single")
-_MOST_RAYS = 16  # times the usual number along an edge: 256 times as many
+_MOST_RAYS = 16  # times the usual number along an edge: 256 times as many rays
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to solve.
+    """The settings of a solve.
 
     model             "physical": SI units, light scattered in the medium on the lattice, all other
-                      light exact. "paper": the lattice of paper 1. Lengths are in voxels and a
-                      density of 1 scatters fully, whatever the voxel size; `paper_units` brings a
-                      medium there
+                      light exact. "paper": the lattice of paper 1. Lengths are in voxels, and
+                      a density of 1 scatters all light in a voxel of any size; `paper_units`
+                      converts a medium
 
     Of the physical model:
     scattering        "multiple", or "single": uncollided light alone, which is what a shader
                       needs to scatter it once; no lattice, and the fluence is 0
-    rays              of uncollided light along a voxel's edge, over the usual number; no fewer
-                      than one are sent
-    merge             the voxels along each edge that scattered light is found in as one;
-                      uncollided light keeps the medium's own. Media that shift light between
+    rays              rays of uncollided light along a voxel's edge, relative to the usual number;
+                      at least one is sent
+    merge             voxels along each edge that are merged into one for scattered light;
+                      uncollided light keeps the medium's voxels. Media that shift light between
                       bands are not merged
     handover          how far light is traced as photons before the lattice takes it over, in
                       transport optical depths: 0 for not at all, infinity for photons alone
-    traced_collisions the collision, or a later one, at which the lattice takes over; 1 and a
-                      handover of 0 need no photons, and the light has no noise
-    photons           to trace for each band that differs; None for 64 a voxel
+    traced_collisions the earliest collision at which the lattice takes over; with 1 and a handover
+                      of 0 there are no photons, and the light has no noise
+    photons           number of photons for each distinct band; None for 64 per voxel
     seed              of the photons, 0 to 2^32 - 1
-    tolerance         the relative error (L2) of the lattice's light, estimated, at which it stops
-    most_steps        at which it stops without
-    divide            the pieces that voxels are divided in along each edge; None for 1, or more
-                      where voxels are so thick that it takes them
+    tolerance         estimated relative error (L2) of the lattice's light at which it stops
+    most_steps        lattice steps after which it stops in any case
+    divide            pieces that voxels are divided into along each edge; None for 1, or more if
+                      the voxels are too thick for the lattice
 
-    Of the paper's:
-    steps             lattice steps; None for the paper's, twice the longest edge
-    keep_absorbed     keep what was absorbed and emit it again (the paper's direction 0), or drop
-                      it at each step, which shows the loss
-    kernel            "naive", "final" or "coalesced": the paper's three, all with the same result
+    Of the paper's model:
+    steps             lattice steps; None for the paper's number, twice the longest edge
+    keep_absorbed     whether absorbed light is kept and emitted again (the paper's direction 0);
+                      otherwise each step drops it, which shows the loss
+    kernel            "naive", "final" or "coalesced", the paper's three kernels; all give the same
+                      result
     """
 
     model: str = "physical"
@@ -140,12 +141,12 @@ def solve(
 
     medium    a `Medium`. For the paper's model it has at least 3 voxels along each edge; the
               outermost ones are the boundary, where light enters
-    lights    those of `lights.py`; for the paper's model `Sun` and `Sky`. At least one, or the
-              medium's emission
-    settings  `Settings`, default if None
+    lights    see `Light`; the paper's model takes `Sun` and `Sky`. At least one, unless the medium
+              emits light
+    settings  `Settings`; None for the defaults
     device    None for the best, or part of the label of one of `device.devices()`
     progress  called as progress(stage, fraction) with fraction from 0 to 1
-    cancel    called without arguments; the solve ends with `Cancelled` where it returns true
+    cancel    called without arguments; the solve raises `Cancelled` once it returns true
     residual  called as residual(error) while the lattice converges, with its estimated relative
               error, before the matching progress; not by the paper's model
     Returns a `Field` in W/m^2. Raises MediumError, LightError, SettingsError or DeviceError.
@@ -171,11 +172,11 @@ def require_memory(
     occluded: bool = True,
     lights: int = 4,
 ) -> int:
-    """Refuse a domain of `shape` voxels that is too large for the device, before it is made.
+    """Refuse a domain of `shape` voxels that is too large for the device, before it is allocated.
 
-    settings and device are those of `solve`. The defaults are the most that a scene usually has,
-    for use before the medium is known: three bands, opaque voxels and four lights.
-    Returns the bytes of the solve; DeviceError names the largest resolution that fits.
+    settings and device are those of `solve`. The defaults suit most scenes before the medium is
+    known: three bands, opaque voxels and four lights.
+    Returns the bytes of the solve. Raises DeviceError with the largest resolution that fits.
     """
     settings = settings or Settings()
     chosen = devices.choose(device)

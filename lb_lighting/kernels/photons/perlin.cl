@@ -102,15 +102,15 @@ float perlin_density(const Perlin m, const float x, const float y, const float z
 int perlin_exceeds(const Perlin m, const float x, const float y, const float z,
                    const float threshold)
 {
-    const float wanted = m.cutoff + (1.0f - m.cutoff) * powr(threshold, 1.0f / m.power);
+    const float least_noise = m.cutoff + (1.0f - m.cutoff) * powr(threshold, 1.0f / m.power);
     float noise = 0.0f, rest = 1.0f, amplitude = m.amplitude, scale = ldexp(1.0f, 1 - m.octaves);
     for (int octave = 0; octave < m.octaves; octave++) {
         noise += amplitude * perlin_octave(m, octave, x * scale, y * scale, z * scale);
         rest -= amplitude;
-        if (noise > wanted || noise + rest <= wanted)
+        if (noise > least_noise || noise + rest <= least_noise)
             break;
         amplitude *= m.persistence;
         scale *= 2.0f;
     }
-    return noise > wanted;
+    return noise > least_noise;
 }

@@ -6,34 +6,34 @@
 //   OCCLUSION    voxels are opaque; fine cells are voxels
 //
 // Scores are integers in units of UNIT, so their sum does not depend on the order: a seed gives the
-// same result however the device schedules its work. A tally has 64 bits in two words of 32, which
+// same result in whichever order the device runs its work. A tally has 64 bits in two words of 32, which
 // every device can add atomically. All lower words come first in memory, because the upper ones are
 // rarely needed. Quantities that are scored together lie side by side.
 
-#define UNIT 0x1p24f // in a weight of 1; one of up to 64 fits a signed word
+#define UNIT 0x1p24f // units in a weight of 1; a weight of up to 64 fits a signed word
 
 // What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
-// Uncollided light, with KEEP_DIRECT: its weight. Scattered or reflected light:
+// Uncollided light has one tally with KEEP_DIRECT, its weight. Scattered or reflected light has:
 #define WEIGHT 0 // its weight
-#define FLUX 1   // three, where KEEP_FLUX: weight and direction
+#define FLUX 1   // three, with KEEP_FLUX: weight times direction
 #ifdef KEEP_FLUX
 #define SCATTERED_TALLIES 4
 #else
 #define SCATTERED_TALLIES 1
 #endif
 
-// Photons that become a collision source:
+// Photons that become a collision source have:
 #define POWER 0     // their weight
-#define POSITION 1  // three: weight and place in the voxel, from -1/2 to 1/2
-#define DIRECTION 4 // three: weight and direction before the last collision
-#define HANDED_TALLIES 7
+#define POSITION 1  // three: weight times the position in the voxel, from -1/2 to 1/2
+#define DIRECTION 4 // three: weight times the direction before the last collision
+#define HANDOVER_TALLIES 7
 
-// What a work-item counts for all its photons.
+// Sums of a work-item over all its photons.
 #define ABSORBED 0
 #define LEFT_THROUGH 1 // six: faces -x, +x, -y, +y, -z, +z
-#define HANDED 7
+#define HANDOVER 7     // the weight of photons that become a collision source
 #define LOST 8         // the weight of photons that took too many steps
-#define LOST_PHOTONS 9 // their number; the rest are numbers, too
+#define LOST_PHOTONS 9 // their number; the sums below are numbers, too
 #define VIOLATIONS 10
 #define COLLISIONS 11
 #define SUMS 12
@@ -115,12 +115,12 @@ static float score(const Path *p, const Tallies v, float at, const float spacing
     return at;
 }
 
-static void hand_over(const Path *p, const Tallies v, const float weight, __global uint *handed)
+static void hand_over(const Path *p, const Tallies v, const float weight, __global uint *source)
 {
     float x, y, z;
     const size_t voxel = voxel_at(p, v, p->t, &x, &y, &z);
-    __global uint *tally = handed + HANDED_TALLIES * voxel;
-    const size_t upper = HANDED_TALLIES * v.voxels;
+    __global uint *tally = source + HANDOVER_TALLIES * voxel;
+    const size_t upper = HANDOVER_TALLIES * v.voxels;
     add(tally + POWER, upper, weight);
     add_vector(tally + POSITION, upper, weight, clamp(x, 0.0f, 1.0f) - 0.5f,
                clamp(y, 0.0f, 1.0f) - 0.5f, clamp(z, 0.0f, 1.0f) - 0.5f);
@@ -151,7 +151,7 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
                             __global const float *occlusion,
                             __global const float *occlusion_albedo, TALLIES_PARAMETERS,
                             __global uint *direct, __global uint *scattered,
-                            __global uint *handed, __global long *sums)
+                            __global uint *source, __global long *sums)
 {
     const Grid g = GRID;
     const Tallies v = TALLIES;
@@ -200,8 +200,8 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
             sum[ABSORBED] += in_units(weight) - in_units(kept);
             weight = kept;
             if (!stopped && collisions == last) {
-                hand_over(&p, v, weight, handed);
-                sum[HANDED] += in_units(weight);
+                hand_over(&p, v, weight, source);
+                sum[HANDOVER] += in_units(weight);
                 done = 1;
             } else if (weight < least) { // Russian roulette, at even odds
                 const int survives = random_next(&random) < 0.5f;

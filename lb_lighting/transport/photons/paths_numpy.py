@@ -13,7 +13,7 @@ from .tallies import (
     COLLISIONS,
     DIRECTION,
     FLUX,
-    HANDED,
+    HANDOVER,
     LEFT_THROUGH,
     LOST,
     LOST_PHOTONS,
@@ -24,8 +24,8 @@ from .tallies import (
     VIOLATIONS,
     WEIGHT,
     Opaque,
+    Selection,
     Tallies,
-    Wanted,
     in_weights,
     kinds,
 )
@@ -35,7 +35,7 @@ _AT_ONCE = 2**16  # rays: their state fits the cache
 
 
 class NumpyPaths:
-    """Paths through one `PathGrid`; `OpenclPaths` does the same."""
+    """Paths through one `PathGrid`; `OpenclPaths` is its twin."""
 
     def __init__(self, grid: PathGrid) -> None:
         self.grid = grid
@@ -43,17 +43,20 @@ class NumpyPaths:
     def free_paths(
         self, rays: Floats, indices: Integers, per_depth: float, seed: int, most_steps: int
     ) -> tuple[Floats, int, int]:
-        """((n,) fine cells to the first real collision, particles met, bounds that were violated).
+        """(distances, collisions, violations) of free paths.
+
+        distances   (n,) fine cells to the first real collision; inf where a ray leaves, NaN where
+                    it needs more than `most_steps` steps
+        collisions  the number of real and virtual collisions of all rays
+        violations  how often the density exceeded its majorant
 
         rays     (6, n) float32: origins in the domain, in fine cells, and unit directions
-        indices  (n,) the numbers of the rays, which choose their random numbers
-        inf where a ray leaves, NaN where it takes over `most_steps` steps. Of the particles, real
-        and virtual ones, and of the violated bounds it is the number in all rays
+        indices  (n,) the numbers of the rays, which select their random numbers
         """
         distances, particles, violations = np.full(rays.shape[1], np.nan), 0, 0
         for first in range(0, rays.shape[1], _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            walk = Walk(self.grid, rays[:, some], per_depth, seed, indices[some])
+            part = slice(first, first + _AT_ONCE)
+            walk = Walk(self.grid, rays[:, part], per_depth, seed, indices[part])
             walk.start_flights(np.arange(len(walk.t)))
             going = np.arange(len(walk.t))
             for _ in range(most_steps):
@@ -72,18 +75,18 @@ class NumpyPaths:
         shape: tuple[int, ...],
         lower: float,
         per_cell: float,
-        wanted: Wanted,
+        selection: Selection,
         opaque: Opaque | None,
     ) -> None:
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
 
-        wanted  whether these are: (direct, flux, handed)
-        opaque  (occlusion, its albedo), (nx, ny, nz) float32 each, or None
+        selection  which are tallied: (uncollided light, flux, collision source)
+        opaque     (occlusion, its albedo), (nx, ny, nz) float32 each, or None
         """
         self.opaque = opaque
         voxels = int(np.prod(shape))
         self.tally_shape, self.tally_lower, self.per_cell = shape, lower, per_cell
-        self.tallies = [np.zeros((voxels, n), np.uint64) for n in kinds(*wanted)]
+        self.tallies = [np.zeros((voxels, n), np.uint64) for n in kinds(*selection)]
         self.before = np.zeros(voxels, np.uint64)
         self.deviation = np.zeros(voxels)
         self.sums = np.zeros(SUMS, np.int64)
@@ -102,22 +105,22 @@ class NumpyPaths:
     ) -> None:
         """Trace photons into the tallies.
 
-        photons  (7, n) float32: as `rays` of free_paths, and weights from 0 to HEAVIEST
-        copies   paths that begin as each photon does
-        first    number of the first path, which chooses its random numbers
+        photons  (7, n) float32: the `rays` of free_paths, and weights from 0 to HEAVIEST
+        copies   paths that start from each photon
+        first    number of the first path, which selects its random numbers
         optics   (albedo, mean cosine)
         spacing  fine cells between two points where a path is scored
-        last     the collision at which a photon is handed over, or 0
+        last     the collision at which a photon becomes part of the collision source; 0 for none
         """
         photons = np.repeat(photons, copies, axis=1)
         for begin in range(0, photons.shape[1], _AT_ONCE):
-            some = photons[:, begin : begin + _AT_ONCE]
-            numbers = first + begin + np.arange(some.shape[1])
-            walk = Walk(self.grid, some[:6], per_depth, seed, numbers)
-            self._trace(walk, some[6].astype(float), most_steps, *optics, spacing, last)
+            part = photons[:, begin : begin + _AT_ONCE]
+            numbers = first + begin + np.arange(part.shape[1])
+            walk = Walk(self.grid, part[:6], per_depth, seed, numbers)
+            self._trace(walk, part[6].astype(float), most_steps, *optics, spacing, last)
 
     def take_batch(self, batch: int) -> None:
-        """Tell that batch number `batch`, from 1 on, is complete."""
+        """Add the scores since the last batch to the variance; batches count from 1."""
         now = self.tallies[1][:, WEIGHT]
         weight = (now - self.before) / UNIT
         mean_before = self.before / (UNIT * max(batch - 1, 1))
@@ -126,8 +129,8 @@ class NumpyPaths:
 
     def read_tallies(self) -> Tallies:
         """The `Tallies` of all batches."""
-        direct, scattered, handed = (tally / UNIT for tally in self.tallies)
-        return Tallies(direct, scattered, handed, self.deviation, in_weights(self.sums))
+        direct, scattered, source = (tally / UNIT for tally in self.tallies)
+        return Tallies(direct, scattered, source, self.deviation, in_weights(self.sums))
 
     def _trace(
         self,
@@ -153,25 +156,25 @@ class NumpyPaths:
                 is_stopped = walk.stop(going[ends], self.opaque[0])
                 event[is_stopped[going]] = STOPPED
             left = going[event == LEFT]
-            # Paths that are under way after the last step are lost.
+            # Paths that have not ended after the last step are lost.
             hit = going[(event == COLLIDED) & (step < most_steps)]
             stopped = going[(event == STOPPED) & (step < most_steps)]
             turning = np.concatenate([hit, stopped])
             self._score(walk, np.concatenate([turning, left]), weight, turned, score_at, spacing)
 
-            # Absorb, end what becomes a collision source, count what leaves.
+            # Absorb, end the photons that become a collision source, count those that leave.
             turned[turning] = True
             collisions[hit] += 1
             self._absorb(walk, hit, stopped, weight, albedo)
-            given = hit[collisions[hit] == last]
-            if len(given):
-                self._hand_over(walk, given, weight[given])
+            collided = hit[collisions[hit] == last]
+            if len(collided):
+                self._hand_over(walk, collided, weight[collided])
             self._count_left(walk, left, weight)
 
             # End paths of little weight at random.
-            light = np.setdiff1d(turning[weight[turning] < least[turning]], given)
+            light = np.setdiff1d(turning[weight[turning] < least[turning]], collided)
             dead = light[self._roulette(walk, light, weight)]
-            ended = np.concatenate([given, left, dead])
+            ended = np.concatenate([collided, left, dead])
             self.sums[COLLISIONS] += collisions[ended].sum()
 
             # Scatter or reflect the others, and start their next flights.
@@ -193,7 +196,7 @@ class NumpyPaths:
     def _absorb(
         self, walk: Walk, hit: Integers, stopped: Integers, weight: Floats, albedo: float
     ) -> None:
-        """Take from the weights what collisions, and opaque voxels, absorb."""
+        """Subtract from the weights what collisions and opaque voxels absorb."""
         turning = np.concatenate([hit, stopped])
         kept = weight[turning] * albedo
         if len(stopped) and self.opaque is not None:
@@ -209,19 +212,19 @@ class NumpyPaths:
             self.sums[LEFT_THROUGH + n] += _units(weight[left[through == n]]).sum()
 
     def _count_lost(self, going: Integers, weight: Floats) -> None:
-        """Count the paths, and their weights, that took too many steps."""
+        """Count the paths that took too many steps, and their weights."""
         self.sums[LOST] += _units(weight[going]).sum()
         self.sums[LOST_PHOTONS] += len(going)
 
     def _roulette(self, walk: Walk, rays: Integers, weight: Floats) -> Booleans:
-        """Which of the light photons die; the others gain what these lose, on average."""
+        """Which photons of little weight die. The survivors gain, on average, what these lose."""
         survives = walk.random.next(rays) < 0.5
         self.sums[ABSORBED] += (np.where(survives, -1, 1) * _units(weight[rays])).sum()
         weight[rays] *= 2
         return ~survives | (weight[rays] == 0)
 
     def _voxels(self, points: Floats) -> tuple[Integers, Floats]:
-        """(voxel of the tallies, place in it from -1/2 to 1/2) of each point."""
+        """(voxel of the tallies, position in it from -1/2 to 1/2) of each point."""
         place = (points - self.tally_lower) * self.per_cell
         index = np.clip(place.astype(int), 0, np.subtract(self.tally_shape, 1))
         offset = np.clip(place - index, 0, 1) - 0.5
@@ -236,7 +239,7 @@ class NumpyPaths:
         score_at: Floats,
         spacing: float,
     ) -> None:
-        """Score flights, up to where they have come, at the points that are due."""
+        """Score flights at the points that are due, up to their present positions."""
         direct, scattered, _ = self.tallies
         while len(rays := rays[score_at[rays] < walk.t[rays]]):
             points = walk.o[rays] + score_at[rays, None] * walk.d[rays]
@@ -252,11 +255,12 @@ class NumpyPaths:
 
     def _hand_over(self, walk: Walk, rays: Integers, weight: Floats) -> None:
         voxel, offset = self._voxels(walk.points(rays))
-        handed = self.tallies[2]
-        _add(handed, voxel, POWER, weight)
-        _add_vector(handed, voxel, POSITION, weight, offset)
-        _add_vector(handed, voxel, DIRECTION, weight, walk.d[rays])
-        self.sums[HANDED] += _units(weight).sum()
+        """Score photons that become a collision source."""
+        source = self.tallies[2]
+        _add(source, voxel, POWER, weight)
+        _add_vector(source, voxel, POSITION, weight, offset)
+        _add_vector(source, voxel, DIRECTION, weight, walk.d[rays])
+        self.sums[HANDOVER] += _units(weight).sum()
 
 
 def _units(weight: Floats) -> Integers:

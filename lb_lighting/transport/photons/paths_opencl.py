@@ -17,18 +17,18 @@ from .tallies import (
     SUMS,
     UNIT,
     Opaque,
+    Selection,
     Tallies,
-    Wanted,
     in_weights,
     kinds,
 )
 
 GROUP = 64  # work-items; a multiple of every vector's width
-_GROUPS_A_UNIT = 16  # so that compute units that are done early find more
+_GROUPS_A_UNIT = 16  # compute units that finish early take more
 
 
 class OpenclPaths:
-    """Paths through one `PathGrid` on a device; `NumpyPaths` does the same."""
+    """Paths through one `PathGrid` on a device. `NumpyPaths` is its twin."""
 
     def __init__(self, grid: PathGrid, device: Device) -> None:
         self.grid, self.device = grid, device
@@ -39,17 +39,22 @@ class OpenclPaths:
     def free_paths(
         self, rays: Floats, indices: Integers, per_depth: float, seed: int, most_steps: int
     ) -> tuple[Floats, int, int]:
-        """((n,) fine cells to the first real collision, particles met, bounds that were violated).
+        """(distances, collisions, violations) of free paths.
+
+        distances   (n,) fine cells to the first real collision; inf where a ray leaves, NaN where
+                    it needs more than `most_steps` steps
+        collisions  the number of real and virtual collisions of all rays
+        violations  how often the density exceeded its majorant
 
         rays     (6, n) float32: origins in the domain, in fine cells, and unit directions
-        indices  (n,) the numbers of the rays, which choose their random numbers
-        inf where a ray leaves, NaN where it takes over `most_steps` steps. Of the particles, real
-        and virtual ones, and of the violated bounds it is the number in all rays
+        indices  (n,) the numbers of the rays, which select their random numbers
         """
         count = rays.shape[1]
         if count == 0:
             return np.empty(0, np.float32), 0, 0
-        numbers = indices.astype(np.uint32)  # named, as the kernel reads it after its call returns
+        numbers = indices.astype(
+            np.uint32
+        )  # kept alive: the call returns before the kernel reads it
         distances = np.empty(count, np.float32)
         result = self.output(distances.nbytes)
         met, flaws = (self.output(4 * self.items) for _ in range(2))
@@ -67,16 +72,16 @@ class OpenclPaths:
         shape: tuple[int, ...],
         lower: float,
         per_cell: float,
-        wanted: Wanted,
+        selection: Selection,
         opaque: Opaque | None,
     ) -> None:
         """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
 
-        wanted  whether these are: (direct, flux, handed)
-        opaque  (occlusion, its albedo), (nx, ny, nz) float32 each, or None
+        selection  which are tallied: (uncollided light, flux, collision source)
+        opaque     (occlusion, its albedo), (nx, ny, nz) float32 each, or None
         """
-        direct, flux, _ = wanted
-        self.tally_shape, self.kinds = shape, kinds(*wanted)
+        direct, flux, _ = selection
+        self.tally_shape, self.kinds = shape, kinds(*selection)
         self.tally_arguments: tuple[Any, ...] = (
             *map(np.int32, shape),
             np.float32(lower),
@@ -90,7 +95,7 @@ class OpenclPaths:
         self.opaque: list[Any] = (
             [self.output(4)] * 2 if opaque is None else [*map(self.upload, opaque)]
         )
-        # Two words a tally; and OpenCL has no empty buffers.
+        # A tally has two words, and OpenCL has no empty buffers.
         self.tallies = [self._zeros(max(8 * prod(shape) * n, 8)) for n in self.kinds]
         self.before = self._zeros(8 * prod(shape))
         self.deviation = self._zeros(4 * prod(shape))
@@ -110,12 +115,12 @@ class OpenclPaths:
     ) -> None:
         """Trace photons into the tallies.
 
-        photons  (7, n) float32: as `rays` of free_paths, and weights from 0 to HEAVIEST
-        copies   paths that begin as each photon does
-        first    number of the first path, which chooses its random numbers
+        photons  (7, n) float32: the `rays` of free_paths, and weights from 0 to HEAVIEST
+        copies   paths that start from each photon
+        first    number of the first path, which selects its random numbers
         optics   (albedo, mean cosine)
         spacing  fine cells between two points where a path is scored
-        last     the collision at which a photon is handed over, or 0
+        last     the collision at which a photon becomes part of the collision source; 0 for none
         """
         if photons.shape[1] == 0:
             return
@@ -129,7 +134,7 @@ class OpenclPaths:
         self.queue.finish()
 
     def take_batch(self, batch: int) -> None:
-        """Tell that batch number `batch`, from 1 on, is complete."""
+        """Add the scores since the last batch to the variance; batches count from 1."""
         kernel(self.photons, "take_batch")(
             *(self.queue, (prod(self.tally_shape),), None, self.tallies[1], np.int32(batch)),
             *(self.before, self.deviation),
@@ -137,13 +142,13 @@ class OpenclPaths:
 
     def read_tallies(self) -> Tallies:
         """The `Tallies` of all batches."""
-        direct, scattered, handed = (
+        direct, scattered, source = (
             self._weights(tally, kinds)
             for tally, kinds in zip(self.tallies, self.kinds, strict=True)
         )
         deviation = self.read(self.deviation, np.float32)
         sums = self.read(self.sums, np.int64).reshape(-1, SUMS).sum(axis=0)
-        return Tallies(direct, scattered, handed, deviation, in_weights(sums))
+        return Tallies(direct, scattered, source, deviation, in_weights(sums))
 
     def _weights(self, tally: cl.Buffer, kinds: int) -> Floats:
         """(voxels, kinds) float32 of the two words of each tally."""
@@ -178,15 +183,15 @@ class OpenclPaths:
         )
 
     def _grid_arguments(self) -> tuple[Any, ...]:
-        """GRID_PARAMETERS of kernels/photons/paths.cl but for the last, per_depth."""
+        """All but the last (per_depth) of GRID_PARAMETERS in kernels/photons/paths.cl."""
         grid, fine = self.grid, self.grid.fine
         density = None if grid.procedural else self.upload(fine.values)
         medium: tuple[Any, ...] = (density,) if density else grid.noise.device_arguments
-        # Ray marching takes the density itself for a bound; noise has none, and needs none.
-        bound = density if grid.majorants is None else self.upload(grid.majorants.values)
+        # Ray marching uses the density as its majorant; noise has no grid, and needs none.
+        majorants = density if grid.majorants is None else self.upload(grid.majorants.values)
         return (
             *medium,
-            bound or self.output(4),
+            majorants or self.output(4),
             *map(np.int32, (*fine.shape, *grid.cells, grid.size)),
             *map(np.float32, (fine.lower, *fine.upper, grid.global_majorant)),
         )
@@ -211,5 +216,5 @@ class OpenclPaths:
 
 @cache
 def kernel(program: cl.Program, name: str) -> cl.Kernel:
-    """A kernel of a program, kept: to make one takes as long as to trace a thousand photons."""
+    """A kernel of a program, cached: creating one takes as long as tracing a thousand photons."""
     return cl.Kernel(program, name)

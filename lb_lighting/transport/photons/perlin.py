@@ -33,7 +33,7 @@ from .majorants import Majorants
 from .random import mix_bits
 
 FINEST = 2**15
-"""The largest effective resolution: there float32 still tells 512 places in a cell apart."""
+"""The largest effective resolution: float32 still distinguishes 512 positions in a cell there."""
 
 WEAK = {"cutoff": 0.0, "power": 1.0}
 """Weakly inhomogeneous: mean density 0.51, largest 1.7 times that, no void (median of 20 seeds)."""

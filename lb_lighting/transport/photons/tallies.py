@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What photons leave behind: the layout of the tallies, as in kernels/photons/photons.cl."""
+"""The layout of the photons' tallies, the same as in kernels/photons/photons.cl."""
 
 from typing import NamedTuple
 
@@ -7,59 +7,60 @@ import numpy as np
 
 from ...arrays import Array, Floats
 
-type Wanted = tuple[bool, bool, bool]  # whether these tallies are: direct, flux, handed
+# Which quantities are tallied: (uncollided light, flux, collision source).
+type Selection = tuple[bool, bool, bool]
 type Opaque = tuple[Floats, Floats]  # occlusion (nx, ny, nz), and its albedo in one band
 
-
-UNIT = 2.0**24  # of a tally, in a weight of 1
-HEAVIEST = 64.0  # weight that a photon may start with
+UNIT = 2.0**24  # units of a tally in a weight of 1
+HEAVIEST = 64.0  # the largest weight that a photon may start with
 
 # What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
-# Of light that has neither collided nor been reflected: its weight. Of light that has:
+# Uncollided light has one tally, its weight. Scattered or reflected light has:
 WEIGHT = 0  # its weight
-FLUX = 1  # three, where they are wanted: weight and direction
+FLUX = 1  # three, if the flux is tallied: weight times direction
 FLUX_TALLIES = 3
 
-# Of photons that are handed over:
+# Photons that become a collision source have:
 POWER = 0  # their weight
-POSITION = 1  # three: weight and place in the voxel, from -1/2 to 1/2
-DIRECTION = 4  # three: weight and direction before the last collision
-HANDED_TALLIES = 7
+POSITION = 1  # three: weight times the position in the voxel, from -1/2 to 1/2
+DIRECTION = 4  # three: weight times the direction before the last collision
+HANDOVER_TALLIES = 7
 
-# What is counted for all photons together.
+# Sums over all photons.
 ABSORBED = 0
 LEFT_THROUGH = 1  # six: faces -x, +x, -y, +y, -z, +z
-HANDED = 7
+HANDOVER = 7  # the weight of those that become a collision source
 LOST = 8  # the weight of those that took too many steps
-LOST_PHOTONS = 9  # how many these are, and so on
+LOST_PHOTONS = 9  # their number; the sums below are numbers, too
 VIOLATIONS = 10
 COLLISIONS = 11
 SUMS = 12
 
 
 class Tallies(NamedTuple):
-    """What the photons of all batches scored, as weights.
+    """The scores of the photons of all batches, as weights.
 
-    direct, scattered, handed  (voxels, tallies), of the quantities above
+    direct, scattered, source  (voxels, tallies) of uncollided light, scattered light and the
+                               collision source, in the order above
     deviation                  (voxels,) sum of the squared deviations of the batches' scattered
                                weight from its mean
-    sums                       (SUMS,) of all photons together
+    sums                       (SUMS,) sums over all photons
     """
 
     direct: Floats
     scattered: Floats
-    handed: Floats
+    source: Floats
     deviation: Floats
     sums: Floats
 
 
-def kinds(direct: bool, flux: bool, handed: bool) -> tuple[int, int, int]:
-    """(direct, scattered, handed): tallies of a voxel, of what is wanted."""
-    return int(direct), 1 + (FLUX_TALLIES if flux else 0), HANDED_TALLIES if handed else 0
+def kinds(direct: bool, flux: bool, source: bool) -> tuple[int, int, int]:
+    """The numbers of a voxel's tallies: (uncollided light, scattered light, collision source)."""
+    return int(direct), 1 + (FLUX_TALLIES if flux else 0), HANDOVER_TALLIES if source else 0
 
 
 def in_weights(sums: Array) -> Floats:
-    """(SUMS,) float64 of sums (SUMS,) in units: weights, then counts as they are."""
+    """(SUMS,) float64 from sums (SUMS,) in units: weights, then the numbers unchanged."""
     weights = np.asarray(sums, float)
     weights[:LOST_PHOTONS] /= UNIT
     return weights

@@ -33,7 +33,7 @@ from .free_path import MOST_STEPS, path_grid
 from .path_grid import PathGrid, enter
 from .perlin import PerlinMedium
 from .schedule import AT_ONCE, COPIES, Run, batches_of, runs_of
-from .tallies import Opaque, Wanted
+from .tallies import Opaque, Selection
 
 _CLOSEST = 0.01  # voxels between two scores; closer ones might not move on in float32
 _AT_BORDER = 1e-6  # voxels from the domain's face, where light from outside begins
@@ -84,8 +84,8 @@ def trace(
     Source: paper 2 for the paths; equation 1 of paper 1 for what they solve.
     """
     _refuse_unfit(medium, photons, handover, interpolation, spacing, seed, most_steps)
-    wanted = direct, flux, handover is not None
-    tracer = _Tracer(medium, wanted, tallied, device, most_steps, spacing, handover or 0, seed)
+    selection = direct, flux, handover is not None
+    tracer = _Tracer(medium, selection, tallied, device, most_steps, spacing, handover or 0, seed)
     tracer.prepare(lights, photons, sampler, interpolation, supervoxel)
     return tracer.run(Monitor(progress, cancel))
 
@@ -96,7 +96,7 @@ class _Tracer:
     def __init__(
         self,
         medium: Medium | PerlinMedium,
-        wanted: Wanted,
+        selection: Selection,
         tallied: int | None,
         device: Device | str | None,
         most_steps: int,
@@ -105,7 +105,7 @@ class _Tracer:
         seed: int,
     ) -> None:
         self.clock = Clock()
-        self.medium, self.wanted, self.seed = medium, wanted, seed
+        self.medium, self.selection, self.seed = medium, selection, seed
         self.most_steps, self.spacing, self.last = most_steps, spacing, last
         self.shape = _tally_shape(medium, tallied)
         self.device = devices.choose(device)
@@ -126,12 +126,12 @@ class _Tracer:
             self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
             self.bytes = self._require_memory(self.grid)
             self.batches = batches_of(photons, prod(shape))
-            copies = 1 if self.wanted[0] else COPIES
+            copies = 1 if self.selection[0] else COPIES
             self.runs = runs_of(medium, lights, photons, self.batches, copies, self.seed)
             fine = self.grid.fine
             self.per_cell = shape[0] / (fine.upper[0] - fine.lower)
             self.paths = backend_of(self.device).paths(self.grid)
-            self.estimates = Estimates(medium, shape, self.wanted, self.batches)
+            self.estimates = Estimates(medium, shape, self.selection, self.batches)
 
     def run(self, monitor: Monitor) -> Field:
         """Trace all runs and return their `Field`."""
@@ -154,7 +154,7 @@ class _Tracer:
 
     def _require_memory(self, grid: PathGrid | None) -> int:
         def footprint(shape: Sequence[int]) -> Footprint:
-            return _footprint(shape, self.medium, self.wanted, grid)
+            return _footprint(shape, self.medium, self.selection, grid)
 
         return require_memory(self.device, self.shape, footprint)
 
@@ -165,7 +165,7 @@ class _Tracer:
         """
         opaque = _opaque(self.medium, run.band)
         fine = self.grid.fine
-        self.paths.start_tallies(self.shape, fine.lower, self.per_cell, self.wanted, opaque)
+        self.paths.start_tallies(self.shape, fine.lower, self.per_cell, self.selection, opaque)
         at_border = np.zeros(tallies.SUMS)
         for batch in range(self.batches):
             at_border += self._trace_batch(run, batch, opaque, monitor)
@@ -218,7 +218,7 @@ def _refuse_unfit(
     require_whole(photons, "number of photons", 1, 2**40)
     require_whole(seed, "seed", 0, 2**32 - 1)
     if handover is not None:
-        require_whole(handover, "collision at which photons are handed over", 1, 2**31 - 1)
+        require_whole(handover, "collision of the handover", 1, 2**31 - 1)
     require_whole(most_steps, "number of steps", 1, 2**31 - 1)
     if not _CLOSEST <= spacing < np.inf:
         raise SettingsError(
@@ -250,13 +250,13 @@ def _tally_shape(medium: Medium | PerlinMedium, tallied: int | None) -> tuple[in
 def _footprint(
     shape: Sequence[int],
     medium: Medium | PerlinMedium,
-    wanted: Wanted,
+    selection: Selection,
     grid: PathGrid | None = None,
 ) -> Footprint:
     """The memory of a trace into `shape` voxels; grid counts once it is made."""
-    voxels, kinds = prod(shape), tallies.kinds(*wanted)
-    names = ("direct", "scattered", "handed")
-    buffers = {f"{name} light": DOUBLE * n * voxels for name, n in zip(names, kinds, strict=True)}
+    voxels, kinds = prod(shape), tallies.kinds(*selection)
+    names = ("uncollided light", "scattered light", "collision source")
+    buffers = {name: DOUBLE * n * voxels for name, n in zip(names, kinds, strict=True)}
     buffers["scattered light before"], buffers["variance"] = DOUBLE * voxels, FLOAT * voxels
     if medium.occlusion is not None:
         buffers["opaque voxels"] = 8 * voxels

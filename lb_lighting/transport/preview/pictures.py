@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import count
 from math import prod
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -182,7 +183,7 @@ class _Camera:
             raise MediumError(f"A preview shows one band or three; the medium has {medium.bands}.")
         require_memory(device, medium.shape, lambda shape: _footprint(shape, medium))
         self.medium, self.view, self.scatterings = medium, view, scatterings
-        self.lost = 0.0
+        self.lost: Any = 0.0  # a sum of NumPy floats, in their precision
         self.skies = [light.seen(medium.bands) for light in lights if isinstance(light, Sky)]
         self.grid = path_grid(medium, sampler, device=device)
         emission, opaque = _shining(medium), _opaque(medium)

@@ -24,7 +24,7 @@ from ..lights.emission import Emission
 from ..lights.sampling import rank_1, shift_of
 from ..medium import Medium
 from ..memory import DOUBLE, FLOAT, Footprint
-from ..monitor import UNHEARD, Monitor
+from ..monitor import NO_MONITOR, Monitor
 from .march import (
     DIRECTION,
     POSITION,
@@ -191,7 +191,7 @@ def cast(
     sigma_t: float,
     device: Device | str | None = None,
     per_edge: int = 10,
-    monitor: Monitor = UNHEARD,
+    monitor: Monitor = NO_MONITOR,
     box: Box | None = None,
 ) -> Cast:
     """Send the uncollided light of one light and band through a medium.

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...arrays import Floats, Integers, Vector
 from ..box import Box
-from ..monitor import UNHEARD, Monitor
+from ..monitor import NO_MONITOR, Monitor
 from .attenuation import attenuate, source_collision_place
 
 type Ends = tuple[int, int]
@@ -231,7 +231,7 @@ class NumpySweep:
         """The `Tallies` of all beams."""
         return Tallies(self.score, self.toward, self.position, self.reflected, self.sums)
 
-    def run(self, beams: Sequence[Beam], monitor: Monitor = UNHEARD) -> tuple[Floats, int]:
+    def run(self, beams: Sequence[Beam], monitor: Monitor = NO_MONITOR) -> tuple[Floats, int]:
         """Send beams that come from the same side.
 
         Returns (beams, count, nu + beside, nv + beside), the weights with which rays leave, by
@@ -283,7 +283,7 @@ class NumpyGlow:
         self.turn, self.depth = turn, depth
 
     def run(
-        self, beams: Sequence[Beam], glows: Sequence[Floats], monitor: Monitor = UNHEARD
+        self, beams: Sequence[Beam], glows: Sequence[Floats], monitor: Monitor = NO_MONITOR
     ) -> Floats:
         """Send beams that come from the same side.
 

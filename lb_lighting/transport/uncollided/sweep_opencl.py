@@ -16,7 +16,7 @@ from ..device import (
     upload,
     zeros,
 )
-from ..monitor import UNHEARD, Monitor
+from ..monitor import NO_MONITOR, Monitor
 from .sweep import STOPPED, Beam, Tallies, Turn, Voxels
 
 _CANCEL_EVERY = 16  # layers
@@ -131,7 +131,7 @@ class OpenclSweep(_Layers):
         sums = (STOPPED + 1) * prod(turn.shape[1:]) if self.occluded else 1
         self.sums = zeros(self.queue, 4 * sums)
 
-    def run(self, beams: Sequence[Beam], monitor: Monitor = UNHEARD) -> tuple[Floats, int]:
+    def run(self, beams: Sequence[Beam], monitor: Monitor = NO_MONITOR) -> tuple[Floats, int]:
         """As of the twin, float32."""
         return self._send(beams, self.matter, (self.tallies, self.inside, self.sums), monitor)
 
@@ -156,7 +156,7 @@ class OpenclGlow(_Layers):
         self.depth = depth
 
     def run(
-        self, beams: Sequence[Beam], glows: Sequence[Floats], monitor: Monitor = UNHEARD
+        self, beams: Sequence[Beam], glows: Sequence[Floats], monitor: Monitor = NO_MONITOR
     ) -> Floats:
         """As of the twin, float32."""
         matter = self._bordered([self.depth, *glows])

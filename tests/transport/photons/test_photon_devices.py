@@ -74,8 +74,11 @@ def assert_twins(monkeypatch):
         for kind in KINDS:
             assert off(getattr(one, kind), getattr(other, kind)) < parted
         assert off(np.sqrt(one.variance), np.sqrt(other.variance)) < parted
-        for kind in ("power", "position", "direction") if one.handed else ():
-            assert off(getattr(one.handed, kind), getattr(other.handed, kind)) < parted
+        for kind in ("power", "position", "direction") if one.collision_source else ():
+            assert (
+                off(getattr(one.collision_source, kind), getattr(other.collision_source, kind))
+                < parted
+            )
         first, second = one.report, other.report
         assert (first.photons, first.lost) == (second.photons, second.lost)
         assert first.collisions[0] == pytest.approx(second.collisions[0], rel=parted)
@@ -141,8 +144,8 @@ def test_seed_gives_the_same_field_again(found, handover):
         assert np.array_equal(getattr(first, kind), getattr(again, kind))
     assert not np.array_equal(first.direct, other.direct)
     if handover:
-        assert np.array_equal(first.handed.position, again.handed.position)
-        assert not np.array_equal(first.handed.position, other.handed.position)
+        assert np.array_equal(first.collision_source.position, again.collision_source.position)
+        assert not np.array_equal(first.collision_source.position, other.collision_source.position)
     else:
         assert not np.array_equal(first.fluence, other.fluence)
 

@@ -187,7 +187,7 @@ def test_no_energy_is_lost_or_made(handover, albedo):
     for seed in range(24):
         field = trace(medium, [Sky(1)], 4096, seed=seed, handover=handover)
         energy = {where: np.sum(power) for where, power in field.report.energy.items()}
-        parts = energy["absorbed"] + energy["left"] + energy["handed"] + energy["lost"]
+        parts = energy["absorbed"] + energy["left"] + energy["handover"] + energy["lost"]
         assert parts == pytest.approx(energy["entered"], rel=1e-6)
         area = 2 * H**2 * (6 * 5 + 5 * 7 + 7 * 6)
         assert energy["entered"] == pytest.approx(pi * area, rel=1e-5)
@@ -218,11 +218,11 @@ def test_reflection_is_no_collision():
     beam = Beam((1.5, 1.75, 1.25), (0, 0, 1))
     field = trace(medium, [beam], 4096, handover=1)
     energy = field.report.energy
-    assert energy["handed"][0] == pytest.approx(field.report.collisions[0] / field.report.photons)
-    assert energy["handed"][0] + energy["left"].sum() == pytest.approx(1, rel=1e-6)
-    assert energy["handed"][0] > 0.1
+    assert energy["handover"][0] == pytest.approx(field.report.collisions[0] / field.report.photons)
+    assert energy["handover"][0] + energy["left"].sum() == pytest.approx(1, rel=1e-6)
+    assert energy["handover"][0] > 0.1
     # From above; and reflected light is not direct any more.
-    assert np.all(field.handed.direction[0, 2] <= 0)
+    assert np.all(field.collision_source.direction[0, 2] <= 0)
     assert field.direct.sum() * H**3 == pytest.approx(2.5 * H, rel=0.05)
     assert field.fluence.sum() > 0
 

@@ -103,14 +103,11 @@ def test_direct_light_can_be_left_out():
     assert_same_light(field, reference())
     assert not field.direct.any()
     assert field.report.photons == pytest.approx(100_000, rel=0.01)
-    handed = [
-        [
-            trace(patchy(), [SUN], 4096, seed=seed, direct=direct, handover=2).handed.power[0]
-            for seed in seeds
-        ]
+    fields = [
+        [trace(patchy(), [SUN], 4096, seed=seed, direct=direct, handover=2) for seed in seeds]
         for direct, seeds in ((False, range(24)), (True, range(30, 54)))
     ]
-    one, other = np.array(handed, float)
+    one, other = (np.array([f.collision_source.power[0] for f in of], float) for of in fields)
     error = np.sqrt((one.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / 24)
     assert_near(one.mean(axis=0) - other.mean(axis=0), error, 23)
     assert field.report.bytes < reference().report.bytes
@@ -168,10 +165,10 @@ def test_no_energy_is_lost_or_made(handover):
         energy = {where: np.sum(power) for where, power in field.report.energy.items()}
         toward = np.abs(SUN.direction) / np.linalg.norm(SUN.direction)
         assert energy["entered"] == pytest.approx(2 * toward @ (edges.prod() / edges), rel=1e-5)
-        parts = energy["absorbed"] + energy["left"] + energy["handed"] + energy["lost"]
+        parts = energy["absorbed"] + energy["left"] + energy["handover"] + energy["lost"]
         assert parts == pytest.approx(energy["entered"], rel=1e-6)
         assert energy["lost"] == field.report.lost == 0
-        assert (energy["handed"] > 0) == (handover is not None)
+        assert (energy["handover"] > 0) == (handover is not None)
         light = (field.fluence + field.direct)[0].astype(float)
         absorbed = medium.sigma_a[0] * (medium.density * light).sum() * H**3
         gaps.append(absorbed / energy["absorbed"] - 1)
@@ -224,9 +221,11 @@ def test_so_many_collisions_before_the_handover(last):
     for seed in range(12):
         field = trace(thick(albedo), [PointLight((0, 0, 0), 3)], 4096, seed=seed, handover=last)
         energy = field.report.energy
-        assert energy["handed"] == pytest.approx(3 * albedo**last, rel=1e-5)
+        assert energy["handover"] == pytest.approx(3 * albedo**last, rel=1e-5)
         assert energy["absorbed"] == pytest.approx(3 * (1 - albedo**last), rel=1e-5)
-        assert field.handed.power.sum(dtype=float) == pytest.approx(energy["handed"][0], rel=1e-5)
+        assert field.collision_source.power.sum(dtype=float) == pytest.approx(
+            energy["handover"][0], rel=1e-5
+        )
         assert field.report.collisions[0] == last * field.report.photons
         fluence.append([field.direct.sum(dtype=float) * 8, field.fluence.sum(dtype=float) * 8])
     assert_mean(fluence, 3 * np.array([1, sum(albedo**n for n in range(1, last))]))
@@ -242,12 +241,12 @@ def test_first_collisions_are_handed_over_where_they_are(direction):
         field = trace(medium, [sun], 8192, seed=seed, handover=1)
         assert not field.fluence.any()
         assert not field.flux.any()
-        handed = field.handed
-        power.append(handed.power[0])
-        position.append(handed.position[0])
-        assert np.all(np.abs(handed.position[0]) <= 0.125001 * handed.power[0])
-        toward = np.reshape(direction, (3, 1, 1, 1)) * handed.power[0]
-        assert np.allclose(handed.direction[0], toward, rtol=1e-4, atol=1e-6 * toward.max())
+        source = field.collision_source
+        power.append(source.power[0])
+        position.append(source.position[0])
+        assert np.all(np.abs(source.position[0]) <= 0.125001 * source.power[0])
+        toward = np.reshape(direction, (3, 1, 1, 1)) * source.power[0]
+        assert np.allclose(source.direction[0], toward, rtol=1e-4, atol=1e-6 * toward.max())
     # What collides is what the track lengths of direct light say, traced alone.
     direct = [trace(medium, [sun], 8192, seed=seed).direct[0] for seed in range(30, 54)]
     first, second = np.array(power, float), sigma * albedo * 0.25**3 * np.array(direct, float)
@@ -270,5 +269,5 @@ def test_handover_of_what_never_absorbs_conserves_energy():
     energy = report.energy
     assert energy["absorbed"][0] == 0
     left = energy["left"].sum()
-    assert energy["handed"][0] + left == pytest.approx(energy["entered"][0], rel=1e-6)
-    assert energy["handed"][0] > 0.05 * left
+    assert energy["handover"][0] + left == pytest.approx(energy["entered"][0], rel=1e-6)
+    assert energy["handover"][0] > 0.05 * left

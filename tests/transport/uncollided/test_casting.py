@@ -268,7 +268,7 @@ def test_photons_collide_first_where_rays_do(lit, device):
     least = 20 * result.entered / photons  # W
     power = medium.albedo[0] * result.collided.power
     for kind, scale in (("power", 1), ("position", H / 2), ("direction", 1)):
-        found = np.array([getattr(field.handed, kind)[0] for field in fields])
+        found = np.array([getattr(field.collision_source, kind)[0] for field in fields])
         expected = medium.albedo[0] * getattr(result.collided, kind)
         bright = power > least
         # Relative to the largest possible moment of that power, shifted away from 0.
