@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The street: a scene goes in, a process of its own lights it, and the light goes back.
+"""Bakes: read a scene, light it in the solver's process, and write the light into the scene.
 
-Operators, the command line and the tests all come here. `read_scene` reads the scene in one go, and
-`Baking.apply` writes into it in one go, once the whole result is on disk. In between, Blender and
-the scene are free.
+Operators, the command line and the tests start here. `read_scene` reads the scene in one go, and
+`Baking.apply` writes into it in one go, once the whole result is on disk. In between, the user can
+work on in Blender.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +16,6 @@ from typing import Any, Protocol, cast
 import bpy
 
 from . import exchange
-from .clearing import clear
 from .errors import SceneError
 from .job import Job, Waitable, wait
 from .options import Options
@@ -29,13 +28,8 @@ from .tasks.result import BakeResult, SequenceChoices
 from .transport.field import Field
 from .transport.planning.planner import Plan
 
-__all__ = [
-    "Baking", "Estimating", "Kept", "Options", "Outcome", "Work", "apply", "bake", "clear",
-    "folder_of", "is_lit", "read_scene", "run", "scene_of", "sources_of",
-]  # fmt: skip
-
-DIRECTIONS = "Pictures: scattered light was gathered along many directions, {:.1f} s."
-ALL_LIGHT = "Pictures: surfaces show the sky's direct light too."
+DIRECTIONAL = "Directional scattering took {:.1f} s."
+ALL_LIGHT = "Surfaces also show the direct light of the sky."
 
 
 @dataclass
@@ -50,7 +44,7 @@ class Outcome:
     @property
     def summary(self) -> str:
         report = self.result.report
-        bands = "1 band" if report.runs == 1 else f"{report.runs} bands"
+        bands = "1 colour band" if report.runs == 1 else f"{report.runs} colour bands"
         return (
             f"Lit {self._shape} voxels, {bands}, {report.steps} steps in "
             f"{sum(report.seconds.values()):.1f} s on {report.device}"
@@ -61,11 +55,12 @@ class Outcome:
         """The figures of the bake, for the panel."""
         report, seconds = self.result.report, self.result.report.seconds
         return [
-            f"{self._shape} voxels of {self.result.domain.voxel_size:.3g} m, bands: {report.runs}",
+            f"{self._shape} voxels of {self.result.domain.voxel_size:.3g} m, "
+            f"colour bands: {report.runs}",
             f"{sum(seconds.values()):.1f} s on {report.device}",
-            f"{report.steps} steps, {report.corrections} corrections, "
+            f"Lattice: {report.steps} steps, {report.corrections} corrections, "
             f"residual {report.residual:.1%}",
-            *([DIRECTIONS.format(seconds["gather"])] if "gather" in seconds else []),
+            *([DIRECTIONAL.format(seconds["gather"])] if "gather" in seconds else []),
             *([ALL_LIGHT] if self.baking.task.all_light else []),
             *(self.plan.reasons if self.plan else []),
         ]
@@ -248,7 +243,9 @@ def overridden(context: bpy.types.Context, number: int, numbers: list[int]) -> I
     scene = next((s for s in bpy.data.scenes if s.session_uid == number), None)
     objects = [ob for ob in find_objects(numbers) if scene and ob.name in scene.objects]
     if scene is None or len(objects) < len(numbers):
-        raise SceneError("What was being lit has been deleted meanwhile; nothing was changed.")
+        raise SceneError(
+            "An object to light, or its scene, was deleted during the bake; nothing was changed."
+        )
     is_in_view = context.scene == scene
     view_layer = context.view_layer if is_in_view else scene.view_layers[0]
     override: Any = context.temp_override(scene=scene, view_layer=view_layer)

@@ -40,7 +40,7 @@ def _require_complete(path: Path) -> None:
     libraries: Any = bpy.data.libraries
     with libraries.load(str(path)) as (saved, _loaded):
         if set(saved.scenes) != {scene.name for scene in bpy.data.scenes if not scene.library}:
-            raise OSError(f"{path} lacks a scene")
+            raise OSError(f"{path} is incomplete: a scene is missing")
 
 
 def _keep_version(path: Path) -> None:

@@ -137,7 +137,7 @@ def _reason_to_keep(file: BakedFile) -> str | None:
     user = _user_of(file)
     if user:
         return f"'{user}' still shows it"
-    return "it belongs to another .blend" if file.is_foreign else None
+    return "it belongs to another .blend file" if file.is_foreign else None
 
 
 def _user_of(file: BakedFile) -> str | None:

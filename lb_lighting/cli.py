@@ -22,6 +22,7 @@ from .blend_file import save
 from .errors import LightingError, OutputError, SceneError
 from .options import OPTIONS, OVERWRITE, Option, Options
 from .output.volume import require_writable
+from .reading import scene_of
 from .sequence import Sequence
 from .worker import LOG_LEVEL
 
@@ -57,31 +58,42 @@ def leave(code: int | str | None) -> None:
 def _parser(opens_file: bool) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("lb_lighting", description="Lattice-Boltzmann lighting")
     parser.add_argument(
-        "--verbose", action="store_true", help="log the solver's process, and keep its log file"
+        "--verbose",
+        action="store_true",
+        help="show log messages, and keep the log file of the solver",
     )
     commands = parser.add_subparsers(required=True, metavar="command")
     # Describe bake.
-    baking = commands.add_parser("bake", help="light objects and save the scene")
+    baking = commands.add_parser("bake", help="bake light into objects and save the scene")
     baking.set_defaults(run=_bake)
-    baking.add_argument("--objects", nargs="+", metavar="NAME", help="default: the selected ones")
+    baking.add_argument(
+        "--objects",
+        nargs="+",
+        metavar="NAME",
+        help="objects to light (default: the selected objects)",
+    )
     when = baking.add_mutually_exclusive_group()
-    when.add_argument("--frame", type=int, help="light the scene at this frame")
-    when.add_argument("--frames", type=_frames, metavar="FIRST-LAST", help="bake a sequence")
+    when.add_argument("--frame", type=int, help="bake this frame (default: the current frame)")
+    when.add_argument(
+        "--frames", type=_frames, metavar="FIRST-LAST", help="bake a sequence of frames"
+    )
     baking.add_argument(OVERWRITE.flag, action="store_true", help=_help(OVERWRITE))
     options = baking.add_argument_group(
-        "options", "The options of the panel. The .blend gives those that are left out."
+        "options", "The options in the panel. Options that are not given come from the .blend file."
     )
     for option in OPTIONS:
         options.add_argument(option.flag, help=_help(option), **_reading(option))
     # Describe clear and devices.
-    clear = commands.add_parser("clear", help="remove the light and save the scene")
+    clear = commands.add_parser("clear", help="remove the baked light and save the scene")
     clear.set_defaults(run=_clear)
     clear.add_argument("--delete-files", action="store_true", help="delete the .vdb files too")
     for command in (baking, clear):
         if opens_file:
-            command.add_argument("blend", help="the scene")
+            command.add_argument("blend", help="the .blend file to open")
         command.add_argument("--output", metavar="BLEND", help="save to this file instead")
-    commands.add_parser("devices", help="list the devices").set_defaults(run=_list_devices)
+    commands.add_parser("devices", help="list the devices that can compute the light").set_defaults(
+        run=_list_devices
+    )
     return parser
 
 
@@ -104,7 +116,7 @@ def _bake(parsed: argparse.Namespace) -> None:
     # Set up the scene.
     _open(parsed)
     target = _target(parsed)
-    scene = bake.scene_of(bpy.context)
+    scene = scene_of(bpy.context)
     if bpy.context.mode != "OBJECT":  # the mode in which the file was saved
         bpy.ops.object.mode_set(mode="OBJECT")
     if parsed.frame is not None:

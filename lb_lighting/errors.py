@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The errors, each with a sentence that tells the user what to do.
+"""The errors, each with a sentence that says what is wrong and what the user can do.
 
 Every error that a user can meet derives from `LightingError`. Operators and the command line print
 its text and stop. Any other exception is a defect and shows its traceback.

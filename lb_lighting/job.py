@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs tasks in a process of their own, so that no driver can crash Blender.
+"""Runs tasks in a separate process, so that no driver can crash Blender.
 
 Threads write tasks and read results: that takes long for large scenes, and leaves Blender free.
 """
@@ -40,7 +40,7 @@ PATIENCE = 600.0  # s of silence and idleness, after which the worker is taken t
 _IDLE = 0.1  # s of processor time that still counts as idle
 _PACKAGE = Path(__file__).parent
 _END = None  # follows the worker's last message
-# Exit codes of a worker that somebody ended on purpose, not a driver.
+# Exit codes of a worker that was ended on purpose, not by a driver.
 _ASKED = {
     -getattr(signal, n) for n in ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, n)
 }
@@ -64,7 +64,7 @@ class Waitable(Protocol):
 
 
 class Job:
-    """A task under way in a process of its own.
+    """A task under way in a separate process.
 
     If OpenCL drivers end that process, the task begins again in another one: first without the
     files that drivers keep on disk, which may be damaged, then without OpenCL.
@@ -86,7 +86,7 @@ class Job:
             number, self.log = tempfile.mkstemp(prefix="lb_lighting_", suffix=".log")
         except OSError as error:
             raise errors.OutputError(
-                f"No temporary folder can be made ({error.strerror}); free some space, or set "
+                f"A temporary folder cannot be created ({error.strerror}); free some space, or set "
                 "TMPDIR to a folder that is writable."
             ) from error
         self._output = os.fdopen(number, "r+b")
@@ -209,7 +209,7 @@ class Job:
                     inbox.put(json.loads(line))
             if process.wait() == 0 and self._path(RESULT).exists():
                 self._result = exchange.load(self._path(RESULT))
-        except Exception as error:  # a defect; or the job was cancelled, and nobody waits
+        except Exception as error:  # a defect; or the job was cancelled, and its folder is gone
             inbox.put(error)
         inbox.put(_END)
 
@@ -249,9 +249,9 @@ class Job:
         if silence <= PATIENCE:
             return False
         if drivers == LOADED:
-            return self._begin_again(f"did nothing for {PATIENCE:.0f} s")
+            return self._begin_again(f"did not respond for {PATIENCE:.0f} s")
         raise errors.SolverError(
-            f"The solver has said nothing for {PATIENCE:.0f} s and was ended; nothing was "
+            f"The solver has not responded for {PATIENCE:.0f} s and was ended; nothing was "
             "changed. Choose another device or a lower resolution."
         )
 
@@ -276,7 +276,9 @@ class Job:
         """Begin again without the drivers, if they are at `fault`, or else without the files that
         they keep on disk. False, as it is not done."""
         self._end()
-        _logger.warning("Beginning again: the drivers %s", fault or "crashed; without their caches")
+        _logger.warning(
+            "Starting again: the OpenCL drivers %s", fault or "crashed; their caches are off"
+        )
         if fault is None:
             _learned[NO_CACHE] = "1"
         else:

@@ -102,11 +102,15 @@ MODELS = (
     ),
 )
 QUALITIES = (
-    Choice("preview", "Preview", "Error of 20 % at most, within a second or so: to place lamps"),
-    Choice("draft", "Draft", "Error of 10 % at most: usually the lattice alone, free of noise"),
-    Choice("final", "Final", "Error of 5 % at most: adds photons where the lattice needs them"),
-    Choice("reference", "Reference", "Error of 2 % at most: slow, for comparison"),
-    Choice(CUSTOM, "Custom", "Use the settings below. Customize copies the planned settings here"),
+    Choice("preview", "Preview", "Error of at most 20%, in about a second: for placing lamps"),
+    Choice("draft", "Draft", "Error of at most 10%: usually the lattice alone, free of noise"),
+    Choice("final", "Final", "Error of at most 5%: adds photons where the lattice needs them"),
+    Choice("reference", "Reference", "Error of at most 2%: slow, for comparison"),
+    Choice(
+        CUSTOM,
+        "Custom",
+        "Use the settings in the panel Solver. Customize copies the planned settings there",
+    ),
 )
 SCATTERINGS = (
     Choice("multiple", "Multiple", "Compute light of all orders of scattering"),
@@ -145,7 +149,9 @@ ROLES = (
     Choice("FOLIAGE", "Foliage", "Leaves and twigs: surfaces that are lit as a cloud of leaves"),
     Choice("SOLID", "Solid", "A closed body of a translucent material"),
     Choice(
-        "OCCLUDER", "Occluder", "Wood, ground or walls: blocks all light and throws its colour back"
+        "OCCLUDER",
+        "Occluder",
+        "Wood, ground or walls: blocks all light and reflects its own colour",
     ),
 )
 
@@ -161,8 +167,8 @@ class Options:
 
     resolution: int = _option(
         "Resolution",
-        "Number of voxels along the longest edge, padding included. Twice as many take 16 times as "
-        "long",
+        "Number of voxels along the longest edge, padding included. Doubling it takes 16 times "
+        "as long",
         64,
         lowest=0,
         usual=(16, 256),
@@ -178,7 +184,7 @@ class Options:
     )
     domain: str = _option(
         "Domain",
-        "Object whose bounding box is lit. If empty, the bounds of the selection are lit",
+        "Object whose bounding box is lit. If empty, the bounding box of the selection is lit",
         "",
     )
     medium: str = _option(
@@ -238,9 +244,8 @@ class Options:
     )
     rays: float = _option(
         "Rays",
-        "Number of direct light rays along a voxel edge, as a factor on the usual number, for "
-        "Custom quality. Doubling it makes the light of skies more even and takes four times as "
-        "long",
+        "Factor on the usual number of direct light rays along a voxel edge, for Custom quality. "
+        "Doubling it makes the light of skies more even and takes four times as long",
         1.0,
         lowest=0.25,
         highest=16,
@@ -266,8 +271,8 @@ class Options:
     )
     photons: int = _option(
         "Photons",
-        "Number of photons, for Custom quality. Four times as many halve the noise. 0 traces 64 "
-        "per voxel",
+        "Number of photons, for Custom quality. Four times as many photons halve the noise. 0 "
+        "traces 64 photons per voxel",
         0,
         lowest=0,
     )
@@ -280,18 +285,18 @@ class Options:
         digits=4,
     )
     gather: bool = _option(
-        "Gather Directions",
-        "Where lamps shine on volumes that scatter forward, compute the scattered light along many "
-        "directions, so that pictures are right from all sides. Takes a few times as long",
+        "Directional Scattering",
+        "Compute scattered light along many directions where lamps shine on volumes that scatter "
+        "forward. Renders are then right from all sides, and a bake takes a few times as long",
         True,
     )
     mode: str = _option("Volumes", "How a lit volume is rendered", "REPLACE", choices=MODES)
     foliage: str = _option("Foliage", "How foliage gets its light", "ATTRIBUTE", choices=FOLIAGE)
     sky: bool = _option(
         "Bake Sky",
-        "Where the world is the only light, bake its direct light into surfaces too. Pictures need "
-        "a quarter of the samples and hardly flicker. Only lit objects cast shadows in it, and no "
-        "shadow is finer than a voxel",
+        "Where the world is the only light, bake its direct light into surfaces too. Renders need "
+        "a quarter of the samples and hardly flicker. Only lit objects shadow the baked sky, and "
+        "no shadow is finer than a voxel",
         False,
     )
     strength: float = _option(
@@ -305,14 +310,14 @@ class Options:
     )
     device: str = _option(
         "Device",
-        "Part of the name of the device that computes the light. If empty, the fastest kind is "
-        "used",
+        "Part of the name of the device that computes the light. If empty, the fastest "
+        "kind of device is used",
         "",
     )
     folder: str = _option(
         "Folder",
-        "Folder for the .vdb files. If empty, they go beside the .blend. Files that were baked "
-        "before the first save move there with it",
+        "Folder for the .vdb files. If empty, they go beside the .blend file. Files that were "
+        "baked before the first save move there when you save",
         "",
     )
 
@@ -330,7 +335,7 @@ class Options:
     def _refuse_bad_medium(self) -> None:
         optics_by_band(self.sigma_s, self.sigma_a, self.g)  # refuses unphysical values
         if self.medium == CUSTOM and not (any(self.sigma_s) or any(self.sigma_a)):
-            raise SettingsError("The custom medium is void; give it scattering or absorption.")
+            raise SettingsError("The custom medium is empty; set Scattering or Absorption.")
         # Only the coefficients of a custom medium make sense unscaled.
         is_valid = self.optical_depth > 0 or (self.optical_depth == 0 and self.medium == CUSTOM)
         if not (is_valid and np.isfinite(self.optical_depth)):
@@ -374,8 +379,8 @@ OPTIONS: tuple[Option, ...] = tuple(
 # Options that are no part of `Options`: of how frames are baked, and of an object.
 OVERWRITE = Option(
     "Overwrite Frames",
-    "Bake frames of an animation again that are already baked, into a new folder",
+    "Bake frames again that are already baked, into a new folder",
     False,
     name="overwrite",
 )
-ROLE = Option("Role", "How the light treats this object", "AUTO", choices=ROLES, name="role")
+ROLE = Option("Role", "How light interacts with this object", "AUTO", choices=ROLES, name="role")

@@ -24,7 +24,7 @@ from .scene.opening import open_sources
 from .scene.reader import Reader
 from .scene.sources import Source
 from .scene.surface_sources import FoliageSource
-from .scene.surroundings import tell_surroundings
+from .scene.surroundings import note_surroundings
 from .tasks.bake import BakeTask
 from .tasks.result import SequenceChoices
 from .transport.lights.distant import Sky
@@ -71,7 +71,7 @@ def read_scene(
         is_lamp_needed = not any(source.shines for source in sources)
         receivers = Receivers.of(objects, sources, depsgraph, box)
         lights = scene_lights(scene, depsgraph, reader.notes, is_lamp_needed, receivers)
-        tell_surroundings(depsgraph, lights, receivers, reader.notes, {options.domain})
+        note_surroundings(depsgraph, lights, receivers, reader.notes, {options.domain})
     if choices.all_light is None:
         all_light = options.sky and _takes_sky(objects, sources, lights, reader.notes)
         choices = replace(choices, all_light=all_light)
@@ -198,7 +198,7 @@ def _takes_sky(
     for is_hindered, reason in (
         (has_lamp, "a lamp, or a sun in the sky, shines"),
         (any(source.shines for source in sources), "fire shines"),
-        (any(source.is_body for source in showing), "a solid shows light"),
+        (any(source.is_body for source in showing), "a solid is lit"),
         (hindrance, hindrance),
     ):
         if is_hindered:
@@ -219,5 +219,5 @@ def _box(scene: bpy.types.Scene, name: str) -> tuple[Floats, Floats]:
             f"The domain '{name}' has a location, rotation or scale that is not a number; clear it."
         )
     if not np.ptp([lower, upper], axis=0).any():
-        raise SettingsError(f"The domain '{name}' has no size of its own; choose a mesh.")
+        raise SettingsError(f"The domain '{name}' has no size; choose a mesh.")
     return lower, upper

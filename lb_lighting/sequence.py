@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baking the frames of an animation, one after the other, into a .vdb sequence.
 
-A frame that is baked already is kept if the scene at that frame has not changed since, so that two
-lightings never mix. Other processes may bake the same frames into the same folder.
+A frame that is baked already is kept if the scene at that frame has not changed since, so frames of
+different bakes never mix. Other processes may bake the same frames into the same folder.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ EMPTY = "empty"  # in a file's metadata: why there is nothing to light
 REASONS = {
     CACHE_KEY: "the settings have changed",
     LIGHTS: "the lamps or the world have changed",
-    SOURCES: "what is lit has changed",
+    SOURCES: "the lit objects have changed",
 }
 UNREADABLE = "they are damaged, or come from an earlier version"
 
@@ -91,7 +91,7 @@ class Sequence:
     def status(self) -> tuple[str, float]:
         """(what it is doing, fraction from 0 to 1)."""
         if self.unchecked:
-            return f"Frame {self.unchecked[0]}: Comparing", 0.0
+            return f"Frame {self.unchecked[0]}: Checking for changes", 0.0
         if not self.baking:
             return "Starting", self._done / max(self.total, 1)
         stage, fraction = self.baking.status
@@ -102,7 +102,7 @@ class Sequence:
         """What is left of it if it is cancelled now."""
         if self.outcome is None:
             return "nothing was changed"
-        return f"{self._done} of {self.total} frames are done and stay"
+        return f"{self._done} of {self.total} frames are baked and kept"
 
     @property
     def _done(self) -> int:
@@ -288,21 +288,23 @@ class Sequence:
             again = [frame for frame, why in sorted(self.outdated.items()) if why == reason]
             remarks.append(f"Baked again, because {reason}: {_named(again)}.")
         if self.kept_frames:
-            remarks.append(f"Kept as before: {_named(sorted(self.kept_frames))}.")
+            remarks.append(
+                f"Kept, because nothing has changed: {_named(sorted(self.kept_frames))}."
+            )
         empty = sorted(frame for frame, look in self.baked.items() if look is None)
         if empty:
-            sentence = f"Empty, and nothing is shown: {_named(empty)}. {self._why_empty('')}"
+            sentence = f"Empty, so nothing is shown: {_named(empty)}. {self._why_empty('')}"
             remarks.append(sentence.strip())
         if self.outcome and len(self.baked) > 1:
             task, result = self.outcome.baking.task, self.outcome.result
             remarks.extend(
                 f"'{task.sources[number].name}' shows the light of the last frame in all frames; "
-                "only volumes, and foliage that is lit by the modifier, show that of each."
+                "only volumes, and foliage that is lit by the modifier, change from frame to frame."
                 for number in result.ambient
                 if number not in result.readers
             )
         remarks.extend(
-            f"The keys of '{ob.name}' show it again beside its light; remove its visibility keys."
+            f"Keyframes show '{ob.name}' again beside its light; remove its visibility keyframes."
             for ob in objects
             if is_overridden(ob, "hide_render") and are_keyed(ob, "hide_viewport", "hide_render")
         )
@@ -318,7 +320,7 @@ class Sequence:
             folder.mkdir()
         except OSError as error:
             raise OutputError(
-                f"The folder {folder} could not be made; choose one that is writable."
+                f"The folder {folder} could not be created; choose one that is writable."
             ) from error
         self.frames = volume.Frames(folder, old.first, old.last)
         self.is_unused = True

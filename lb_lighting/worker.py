@@ -13,7 +13,7 @@ beside it. The process sends messages on stdout, one JSON object per line:
 - {"defect": summary} of an unexpected error, whose traceback goes to stderr
 
 Drivers may print to stdout: the messages go to a copy of it, and all other output to stderr. The
-process ends when stdin does, for then nobody waits for it any more.
+process ends when stdin does, because Blender has then ended.
 
 Quiet by default; the environment variable LB_LIGHTING_LOG names the level to log at on stderr.
 """
@@ -127,8 +127,8 @@ def _beat(send: Send) -> None:
 
 @contextmanager
 def _loading(send: Send) -> Iterator[None]:
-    """Announce that drivers are loaded. End the process if that takes forever: the driver may block
-    all threads of Python, while nobody waits any more."""
+    """Announce that drivers are loaded. End the process if that takes too long: a driver may block
+    all threads of Python, and the process would not notice that Blender has ended."""
     faulthandler.dump_traceback_later(2 * LONGEST_LOAD, exit=True)
     send(drivers=LOADING)
     start = time.perf_counter()

@@ -10,6 +10,7 @@ import numpy as np
 import openvdb
 
 from lb_lighting import bake
+from lb_lighting.options import Options
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.vdb import LIGHT_GRID
 
@@ -115,7 +116,7 @@ def add_ball(name="ball", radius=0.8, role="AUTO", material=None):
 
 def bake_light(*objects, progress=None, **changes):
     """The `bake.Outcome` of the scene's own settings with `changes`."""
-    options = bake.Options.of(bpy.context.scene, **changes)
+    options = Options.of(bpy.context.scene, **changes)
     return bake.bake(bpy.context, objects, options, progress)
 
 

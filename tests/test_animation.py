@@ -7,10 +7,12 @@ import pytest
 from mathutils import Vector
 
 from lb_lighting import bake
-from lb_lighting.bake import Options
+from lb_lighting.clearing import clear
+from lb_lighting.options import Options
 from lb_lighting.output.sources import hide_source
 from lb_lighting.output.volume import baked_volumes
 from lb_lighting.output.volume_groups import BEAM_GROUP, LAMP_GROUP
+from lb_lighting.reading import read_scene
 from lb_lighting.sequence import Sequence
 from tests import scenery
 from tests.output.rendering import dark_scene, render
@@ -29,7 +31,7 @@ def key(owner, path, **values):
 
 
 def gathered(*objects, frame):
-    return bake.read_scene(bpy.context, objects, Options.of(bpy.context.scene), frame=frame)
+    return read_scene(bpy.context, objects, Options.of(bpy.context.scene), frame=frame)
 
 
 def by_keys(ob):
@@ -131,7 +133,7 @@ def test_keys_that_show_a_source_beside_its_light_are_told(scene, tmp_path):
     fog = scenery.add_fog(tmp_path)
     key(fog, "hide_render", frame_1=False, frame_2=False)
     notes = bake_frames(fog, last=1).notes
-    assert any(note.startswith("The keys of 'fog' show it again") for note in notes)
+    assert any(note.startswith("Keyframes show 'fog' again") for note in notes)
 
 
 def test_a_moving_source_is_baked_and_shown_where_it_is(scene, tmp_path):
@@ -200,7 +202,7 @@ def test_clear_takes_the_keys_out(scene, tmp_path):
     before = scenery.snapshot()
     bake_frames(fog)
     assert len(bpy.data.actions) == 2
-    bake.clear(bpy.context)
+    clear(bpy.context)
     assert scenery.snapshot() == before
 
 
@@ -224,7 +226,7 @@ def test_what_does_not_change_has_no_keys_and_those_of_the_user_stay(scene, tmp_
         scene.frame_set(frame)
         assert tree().nodes["Group"].inputs["Strength"].default_value == value
     (action,) = [a for a in bpy.data.actions if a == tree().animation_data.action]
-    bake.clear(bpy.context)
+    clear(bpy.context)
     assert action in list(bpy.data.actions)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The street from end to end: every kind of source, baked, baked again, and taken out."""
+"""Bakes from end to end: every kind of source, baked, baked again, and removed."""
 
 import os
 import tempfile
@@ -11,6 +11,7 @@ import openvdb
 import pytest
 
 from lb_lighting import bake
+from lb_lighting.clearing import clear
 from lb_lighting.errors import (
     DeviceError,
     LightError,
@@ -20,8 +21,10 @@ from lb_lighting.errors import (
     SettingsError,
     SolverError,
 )
+from lb_lighting.options import Options
 from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
 from lb_lighting.output.volume import baked_volumes
+from lb_lighting.reading import read_scene, sources_of
 from tests import scenery
 from tests.output import rendering
 from tests.scenery import ambient, bake_light, read_grid, snapshot
@@ -69,7 +72,7 @@ class TestVolume:
 
     def test_a_missing_material_is_told(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path, material=False))
-        assert "'fog' has no volume material; the preset 'cloud' stands in." in outcome.notes
+        assert "'fog' has no volume material; the preset 'cloud' was used." in outcome.notes
 
     def test_grey_is_one_band(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path))
@@ -108,7 +111,7 @@ class TestVolume:
     def test_the_residual_is_told_while_it_is_solved(self, scene, tmp_path):
         ob, told = scenery.add_fog(tmp_path), []
         ob.data.materials[0] = scenery.volume_material(60.0, (0.99, 0.99, 0.99))
-        task = bake.read_scene(bpy.context, [ob], bake.Options.of(scene))
+        task = read_scene(bpy.context, [ob], Options.of(scene))
         lit = task.run(lambda **said: told.append(said["stage"]), tmp_path)
         assert told[:2] == ["Filling voxels", "Solving"]
         residuals = [stage[len("Solving (residual ") : -2] for stage in told if "residual" in stage]
@@ -146,12 +149,12 @@ class TestVolume:
         nodes = baked().active_material.node_tree.nodes
         assert {node.label for node in nodes if node.label} == BEAMS
 
-    def test_what_scatters_forwards_is_gathered(self, scene, tmp_path):
+    def test_directional_scattering_of_what_scatters_forwards(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
         inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
         inputs["Anisotropy"].default_value = 0.85
         outcome, stages = bake_light(ob), []
-        assert any("was gathered" in line for line in outcome.report_lines)
+        assert any("Directional scattering took" in line for line in outcome.report_lines)
         moments = {f"lb_moment_{n}" for n in range(1, 9)}
         names = {grid.name for grid in openvdb.readAllGridMetadata(str(outcome.path))}
         assert names == {"density", "lb_light", "lb_direct_1", "lb_forward_1", *moments}
@@ -165,16 +168,16 @@ class TestVolume:
         left = bake_light(ob, gather=False)
         names = {grid.name for grid in openvdb.readAllGridMetadata(str(left.path))}
         assert not names & moments
-        assert not any("was gathered" in line for line in left.report_lines)
+        assert not any("Directional scattering took" in line for line in left.report_lines)
         bake_light(ob, quality="preview", progress=progress)
         assert stages == sorted(stages, key=lambda told: told[0])
-        assert "Gathering" in {stage for _, stage in stages}
+        assert "Directional scattering" in {stage for _, stage in stages}
 
     @pytest.mark.parametrize(
         "changes",
         [{"anisotropy": 0.5}, {"scattering": "single"}, {"mode": "ADD", "model": "paper"}],
     )
-    def test_nothing_is_gathered_where_it_changes_little(self, scene, tmp_path, changes):
+    def test_no_directional_scattering_where_it_changes_little(self, scene, tmp_path, changes):
         ob, changes = scenery.add_fog(tmp_path), dict(changes)
         inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
         inputs["Anisotropy"].default_value = changes.pop("anisotropy", 0.85)
@@ -218,9 +221,8 @@ class TestVolume:
         ob = scenery.add_fog(tmp_path)
         inputs = ob.active_material.node_tree.nodes["Principled Volume"].inputs
         inputs["Emission Strength"].default_value = 3
-        assert (
-            "The paper model leaves out the light of fire." in bake_light(ob, model="paper").notes
-        )
+        note = "The paper model leaves out the light of fire; choose Physical to bake it."
+        assert note in bake_light(ob, model="paper").notes
 
     def test_coefficients_per_unit_of_object_space(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
@@ -372,9 +374,9 @@ class TestSky:
             group = nodes.new("ShaderNodeGroup")
             group.node_tree = tree
             links.new(group.outputs[0], nodes["Material Output"].inputs["Surface"])
-        task = bake.read_scene(bpy.context, objects, bake.Options.of(bpy.context.scene, sky=True))
+        task = read_scene(bpy.context, objects, Options.of(bpy.context.scene, sky=True))
         assert not task.all_light
-        assert sum("sky" in note for note in task.reader.notes) == 1
+        assert sum("sky" in note for note in task.medium_choice.notes) == 1
 
 
 class TestSeveral:
@@ -470,7 +472,7 @@ class TestMeanwhile:
 
     def test_renamed_and_moved(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
-        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking = bake.Baking(bpy.context, [ob], Options.of(scene))
         ob.name, ob.location = "other", (5, 0, 0)
         outcome = self.finish(baking)
         assert ob.hide_render
@@ -481,7 +483,7 @@ class TestMeanwhile:
     @pytest.mark.parametrize("how", ["object", "from the scene", "scene"])
     def test_deleted(self, scene, tmp_path, how):
         ob = scenery.add_fog(tmp_path)
-        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking = bake.Baking(bpy.context, [ob], Options.of(scene))
         if how == "object":
             bpy.data.objects.remove(ob)
         elif how == "from the scene":
@@ -489,23 +491,23 @@ class TestMeanwhile:
         else:
             bpy.data.scenes.new("other")
             bpy.data.scenes.remove(scene)
-        with pytest.raises(SceneError, match="been deleted meanwhile; nothing was changed"):
+        with pytest.raises(SceneError, match="was deleted during the bake; nothing was changed"):
             self.finish(baking)
         assert [path.name for path in tmp_path.iterdir()] == ["fog.vdb"]
 
     def test_a_mesh_that_gets_other_vertices(self, scene, tmp_path):
         ob = scenery.add_leaves()
-        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking = bake.Baking(bpy.context, [ob], Options.of(scene))
         ob.data.vertices.add(1)
         before = snapshot()
-        with pytest.raises(OutputError, match="mesh of leaves was changed while it was lit"):
+        with pytest.raises(OutputError, match="mesh of 'leaves' changed during the bake"):
             self.finish(baking)
         assert snapshot() == before
         assert list(tmp_path.iterdir()) == []
 
     def test_another_scene_in_view(self, scene, tmp_path):
         ob = scenery.add_fog(tmp_path)
-        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking = bake.Baking(bpy.context, [ob], Options.of(scene))
         other = bpy.data.scenes.new("other")
         while not baking.update(wait=0.5):
             pass
@@ -517,7 +519,7 @@ class TestMeanwhile:
     def test_cancelled(self, scene, tmp_path, processes):
         ob = scenery.add_fog(tmp_path)
         before = snapshot()
-        baking = bake.Baking(bpy.context, [ob], bake.Options.of(scene))
+        baking = bake.Baking(bpy.context, [ob], Options.of(scene))
         baking.cancel()
         assert processes[-1].poll() is not None
         assert snapshot() == before
@@ -548,32 +550,32 @@ class TestTogether:
         bake_light(second)
         assert baked().name in bpy.context.scene.objects
         assert (first.hide_render, second.hide_render) == (False, True)
-        assert bake.sources_of(bpy.context.scene, [baked()]) == [second]
+        assert sources_of(bpy.context.scene, [baked()]) == [second]
 
     def test_a_new_name_does_not_break_the_tie(self, pair):
         first, second = pair
         first.name = "renamed"
-        assert bake.sources_of(bpy.context.scene, [baked()]) == [first, second]
+        assert sources_of(bpy.context.scene, [baked()]) == [first, second]
         bake_light(baked())
         assert baked()
 
     def test_light_removed_by_hand_gives_the_sources_back(self, pair):
         bpy.data.objects.remove(baked())
-        assert bake.clear(bpy.context).count == 2
+        assert clear(bpy.context).count == 2
         assert {ob.hide_render for ob in pair} == {False}
 
     def test_light_whose_sources_are_gone(self, pair):
         for ob in pair:
             bpy.data.objects.remove(ob)
-        with pytest.raises(SceneError, match="was baked from is gone"):
+        with pytest.raises(SceneError, match="was baked from were deleted"):
             bake_light(baked())
-        assert bake.clear(bpy.context).count == 1
+        assert clear(bpy.context).count == 1
 
     def test_another_scene_keeps_its_light(self, pair):
         other = bpy.data.scenes.new("other")
         other.collection.objects.link(pair[0])
         with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
-            assert bake.clear(bpy.context).count == 0
+            assert clear(bpy.context).count == 0
         assert pair[0].hide_render
 
 
@@ -593,7 +595,7 @@ class TestClear:
         for _ in range(bakes):
             bake_light(*sources, mode=mode)
         assert snapshot() != before
-        assert bake.clear(bpy.context).count > 0
+        assert clear(bpy.context).count > 0
         assert snapshot() == before
 
     def test_nothing_of_the_users_own_is_taken(self, scene, tmp_path):
@@ -603,14 +605,14 @@ class TestClear:
         leaves.data.color_attributes.new("painted", "BYTE_COLOR", "CORNER")
         before = snapshot()
         bake_light(fog, leaves)
-        bake.clear(bpy.context)
+        clear(bpy.context)
         assert snapshot() == before
 
     @pytest.mark.parametrize("delete", [True, False])
     def test_files_are_deleted_only_when_asked(self, scene, tmp_path, delete):
         fog = scenery.add_fog(tmp_path)
         path = bake_light(fog).path
-        cleared = bake.clear(bpy.context)
+        cleared = clear(bpy.context)
         if delete:
             cleared.delete_files()
         assert path.exists() != delete
@@ -618,7 +620,7 @@ class TestClear:
 
     def test_nothing_to_clear(self, scene):
         before = snapshot()
-        assert bake.clear(bpy.context).count == 0
+        assert clear(bpy.context).count == 0
         assert snapshot() == before
 
 
@@ -648,7 +650,7 @@ class TestRendered:
         bake_light(ob)
         bpy.data.objects["sun"].hide_render = True
         glow = picture().mean()
-        bake.clear(bpy.context)
+        clear(bpy.context)
         assert glow > 1e-4
         assert not picture().any()
 
@@ -735,18 +737,18 @@ BAD_SOURCES = {
         OutputError,
         "'haze' is linked from another file; make it local.",
     ),
-    "linked mesh": (linked, {}, OutputError, "The mesh of twig is linked from another file; "),
+    "linked mesh": (linked, {}, OutputError, "The mesh of 'twig' is linked from another file; "),
     "linked material": (
         linked_material,
         {},
         OutputError,
-        "The material leaf is linked from another file; ",
+        "The material 'leaf' is linked from another file; ",
     ),
     "missing folder": (
         fog,
         {"folder": "nowhere"},
         OutputError,
-        "nowhere does not exist; choose another or make it.",
+        "nowhere does not exist; choose another or create it.",
     ),
     "unknown medium": (fog, {"medium": "milk"}, SettingsError, "There is no medium called 'milk'"),
     "unknown mode": (fog, {"mode": "MULTIPLY"}, SettingsError, "There is no mode called"),
@@ -802,7 +804,7 @@ class TestBadInput:
 
     def test_domain_without_a_size(self, scene, tmp_path):
         scenery.link("empty", None)
-        with pytest.raises(SettingsError, match="has no size of its own; choose a mesh"):
+        with pytest.raises(SettingsError, match="has no size; choose a mesh"):
             bake_light(scenery.add_fog(tmp_path), domain="empty")
 
     def test_unknown_device(self, scene, tmp_path):
@@ -811,7 +813,7 @@ class TestBadInput:
 
     def test_a_solver_that_is_killed(self, scene, tmp_path, processes):
         objects, before = fog(tmp_path), snapshot()
-        options = bake.Options.of(scene, resolution=40)
+        options = Options.of(scene, resolution=40)
         with pytest.raises(SolverError, match="ended by signal 9; nothing was changed"):
             bake.bake(bpy.context, objects, options, lambda *_progress: processes[-1].kill())
         assert snapshot() == before
@@ -821,7 +823,7 @@ class TestBadInput:
         ob = scenery.add_leaves()
         bpy.context.view_layer.objects.active = ob
         bpy.ops.object.mode_set(mode="EDIT")
-        with pytest.raises(OutputError, match="leaves is in Edit Mode; leave it"):
+        with pytest.raises(OutputError, match="'leaves' is in Edit Mode; leave Edit Mode"):
             bake_light(ob)
 
     @pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs POSIX users")
@@ -831,4 +833,4 @@ class TestBadInput:
             objects = fog(folder)
             scene.lb_lighting.folder = str(folder)
             with scenery.read_only(folder):
-                self.refused(objects, OutputError, "Nothing can be written to ")
+                self.refused(objects, OutputError, " is not writable; choose another")

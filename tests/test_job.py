@@ -161,7 +161,7 @@ def test_a_killed_process_is_one_sentence(processes):
 def test_a_process_that_hangs_is_ended(processes, monkeypatch):
     monkeypatch.setattr(job, "PATIENCE", 1.0)
     running = Job(Idle())
-    with pytest.raises(SolverError, match=r"^The solver has said nothing for 1 s and was ended; "):
+    with pytest.raises(SolverError, match=r"^The solver has not responded for 1 s and was ended; "):
         running.wait(lambda *_progress: processes[0].send_signal(signal.SIGSTOP))
     assert processes[0].poll() is not None
 
@@ -229,7 +229,9 @@ def test_a_python_that_does_not_run_is_one_sentence(monkeypatch, tmp_path):
 
 def test_a_temporary_folder_that_takes_nothing_is_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
-    with pytest.raises(OutputError, match=r"^No temporary folder can be made \(No such file or"):
+    with pytest.raises(
+        OutputError, match=r"^A temporary folder cannot be created \(No such file or"
+    ):
         Job(Idle())
 
 

@@ -13,12 +13,13 @@ import pytest
 
 import lb_lighting
 from lb_lighting import bake, worker
-from lb_lighting.bake import Options
 from lb_lighting.cache_key import cache_key
 from lb_lighting.errors import EmptyError, SceneError
+from lb_lighting.options import Options
 from lb_lighting.output.modifier import has_modifier
 from lb_lighting.output.vdb import DENSITY_GRID, LIGHT_GRID, read_metadata, read_whole, unfinished
 from lb_lighting.output.volume import baked_path, baked_volumes
+from lb_lighting.reading import read_scene
 from lb_lighting.scene.volumes import Grid
 from lb_lighting.sequence import REASONS, UNREADABLE, Sequence
 from lb_lighting.transport import PointLight, Sky, Sun
@@ -88,7 +89,7 @@ def test_only_frames_that_differ_are_baked_again(scene, fog):
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"
     notes = bake_frames(fog, last=4).notes
-    assert "Kept as before: frames 1 to 2." in notes
+    assert "Kept, because nothing has changed: frames 1 to 2." in notes
     assert f"Baked again, because {REASONS['essence_lights']}: frames 3 to 4." in notes
     assert folder() != old
     assert len(list(old.glob("*.vdb"))) == 4  # undo shows them
@@ -163,7 +164,7 @@ def test_a_frame_tells_what_it_was_made_of(scene, fog, change):
 
 def cache_keys(ob, **changes):
     options = Options.of(bpy.context.scene, **changes)
-    return bake.read_scene(bpy.context, [ob], options).cache_keys()
+    return read_scene(bpy.context, [ob], options).cache_keys()
 
 
 @pytest.mark.parametrize("how", ["ATTRIBUTE", "MODIFIER"])
@@ -227,7 +228,7 @@ def test_frames_without_smoke_are_empty_and_the_others_go_on(scene, smoke):
     ob = smoke(0, 1, None, 2)
     outcome = bake_frames(ob, last=5)
     (note,) = [note for note in outcome.notes if note.startswith("Empty")]
-    assert note.startswith("Empty, and nothing is shown: frames 1, 3, 5.")
+    assert note.startswith("Empty, so nothing is shown: frames 1, 3, 5.")
     grids = {}
     for frame, path in frames().items():
         density, light = (scenery.openvdb.read(str(path), n) for n in (DENSITY_GRID, LIGHT_GRID))
@@ -253,7 +254,7 @@ def test_smoke_that_begins_at_last_takes_the_place_of_an_empty_frame(scene, smok
     scenery.write_fog(tmp_path / "smoke_002.vdb", scenery.ball())
     scene.frame_set(1)
     notes = bake_frames(ob).notes
-    assert "Kept as before: frame 1." in notes
+    assert "Kept, because nothing has changed: frame 1." in notes
     assert not any(note.startswith("Empty") for note in notes)
     densities = [read_grid(path, DENSITY_GRID)[0] for path in frames().values()]
     np.testing.assert_array_equal(*densities)
@@ -290,7 +291,7 @@ def test_a_larger_range_shows_frames_that_are_there(scene, fog):
     bake_frames(fog, first=2, last=2)
     outcome = bake_frames(fog)
     assert outcome.summary == "The frames 1 to 2 are all baked"
-    assert "Kept as before: frames 1 to 2." in outcome.notes
+    assert "Kept, because nothing has changed: frames 1 to 2." in outcome.notes
     (shown,) = baked_volumes(scene)
     assert (shown.data.frame_start, shown.data.frame_duration) == (1, 2)
 
@@ -318,7 +319,7 @@ def test_a_file_without_its_end_is_not_whole(scene, fog):
 def test_scraps_of_one_bake_are_not_those_of_another(scene, fog):
     bake_frames(fog, last=1)
     path = frames()[1]
-    task = bake.read_scene(bpy.context, [fog], Options.of(scene), path, frame=1)
+    task = read_scene(bpy.context, [fog], Options.of(scene), path, frame=1)
     other = unfinished(path, "another")
     for name in (other, unfinished(path, task.token)):
         name.write_bytes(b"begun")

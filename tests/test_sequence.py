@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lb_lighting import bake, job
-from lb_lighting.bake import Options
 from lb_lighting.errors import OutputError, SceneError, SolverError
+from lb_lighting.options import Options
 from lb_lighting.output.vdb import DENSITY_GRID, read_metadata
 from lb_lighting.output.volume import baked_path, baked_volumes
 from lb_lighting.sequence import Sequence
@@ -54,7 +54,7 @@ def frames():
 
 def test_missing_folder_is_told_as_for_a_single_bake(scene, fog, tmp_path):
     nowhere = tmp_path / "nowhere"
-    with pytest.raises(OutputError, match="nowhere does not exist; choose another or make it"):
+    with pytest.raises(OutputError, match="nowhere does not exist; choose another or create it"):
         bake_frames(fog, folder=str(nowhere))
     assert not nowhere.exists()
     assert not fog.hide_render
@@ -104,7 +104,7 @@ def test_cancelled_it_tells_what_is_kept(scene, fog):
     assert work.apply(bpy.context) is None
     running.start(work)
     assert bpy.ops.lb_lighting.cancel() == {"FINISHED"}
-    assert running.last == ("The bake was cancelled; 1 of 3 frames are done and stay",)
+    assert running.last == ("The bake was cancelled; 1 of 3 frames are baked and kept",)
     assert list(frames()) == ["frame_0001.vdb"]
 
 

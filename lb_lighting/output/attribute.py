@@ -91,7 +91,7 @@ def write_ambient(
     for ob, light in zip(objects, sides, strict=True):
         mesh = _mesh(ob)
         if len(mesh.vertices) != light.shape[1]:
-            raise OutputError(f"The mesh of {ob.name} was changed while it was lit; bake it again.")
+            raise OutputError(f"The mesh of '{ob.name}' changed during the bake; bake it again.")
         by_mesh.setdefault(mesh, []).append(light)
     for mesh, lights in by_mesh.items():
         both = lights[0] if len(lights) == 1 else np.mean(lights, axis=0)
@@ -124,11 +124,13 @@ def refuse_unwritable(objects: Iterable[bpy.types.Object]) -> None:
     """Raise OutputError for the first object whose data cannot take an attribute."""
     for ob in objects:
         if ob.type != "MESH":
-            raise OutputError(f"{ob.name} is not a mesh; convert it to a mesh to light it.")
+            raise OutputError(f"'{ob.name}' is not a mesh; convert it to a mesh to light it.")
         if not _mesh(ob).is_editable:
-            raise OutputError(f"The mesh of {ob.name} is linked from another file; make it local.")
+            raise OutputError(
+                f"The mesh of '{ob.name}' is linked from another file; make it local."
+            )
         if _mesh(ob).is_editmode:
-            raise OutputError(f"{ob.name} is in Edit Mode; leave it to light the mesh.")
+            raise OutputError(f"'{ob.name}' is in Edit Mode; leave Edit Mode to light it.")
 
 
 def _mesh(ob: bpy.types.Object) -> bpy.types.Mesh:

@@ -73,11 +73,11 @@ def _add_sockets(tree: Any, is_wall: bool) -> None:
     add_input(tree, "Volume", "Object", "The baked Volume object to read the light from")
     add_input(tree, "Strength", "Float", "Factor on the light of this object", 1.0, ANY)
     realize = (
-        "On: make instances real, and light each of their points. "
-        "Off: keep them; all of an instance has the light at its origin"
+        "On: make instances real and light each of their points. "
+        "Off: keep instances; each has the light at its origin"
     )
     add_input(tree, "Realize Instances", "Bool", realize, False)
-    all_light = "On: the baked light is all light, including the sky's direct light"
+    all_light = "On: the baked light includes the direct light of the sky"
     add_input(tree, WHOLE, "Bool", all_light, False)
     add_input(tree, BODY, "Bool", "On: both sides show the light that leaves the body", False)
     if is_wall:

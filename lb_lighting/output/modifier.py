@@ -2,11 +2,12 @@
 """Light on surfaces without a change to their meshes: a modifier that reads the baked volume.
 
 The geometry nodes `LB Ambient Grid` sample the grids of a baked Volume object at every evaluation,
-where the plant is then. So what is animated, scattered or instanced is lit anew, and the mesh stays
-as it is. On points they store what `attribute.write_ambient` writes, `lb_ambient` and
-`lb_ambient_back`. On an instance they store the light that falls there on a surface of any
-direction: `lb_ambient`, the mean of both sides, and `lb_ambient_x`, `_y` and `_z`, from which
-`LB Ambient` computes the light on each side. If that is all light, `lb_whole` is 1 on both.
+at the current place of the plant. So plants that are animated, scattered or instanced get the light
+of their place, and the mesh stays as it is. On points they store what `attribute.write_ambient`
+writes, `lb_ambient` and `lb_ambient_back`. On an instance they store the light that falls
+there on a surface of any direction: `lb_ambient`, the mean of both sides, and `lb_ambient_x`, `_y`
+and `_z`, from which `LB Ambient` computes the light on each side. If that is all light, `lb_whole`
+is 1 on both.
 
 Foliage gets the modifier if the user chose it; any mesh gets it if its vertices cannot hold its
 light.

@@ -111,9 +111,7 @@ def light_instances(
         wire_ambient(material, strength, all_light)
     if editable.issuperset(materials):
         return []
-    return [
-        f"Some instances of '{ob.name}' show no light; give them materials that are not linked."
-    ]
+    return [f"Some instances of '{ob.name}' show no light; make their linked materials local."]
 
 
 def is_lit(ob: bpy.types.Object) -> bool:
@@ -164,7 +162,7 @@ def unwire_unused() -> None:
 def _refuse_linked(material: bpy.types.Material) -> None:
     if not material.is_editable:
         raise OutputError(
-            f"The material {material.name} is linked from another file; make it local."
+            f"The material '{material.name}' is linked from another file; make it local."
         )
 
 
@@ -230,7 +228,7 @@ def _lit_copy(group: Any, strength: float, all_light: bool) -> Any:
     ]
     copy = group.copy()
     copy[TAG], copy[ORIGINAL], copy[STRENGTH] = AMBIENT_GROUP + " copy", group, strength
-    copy.description = f"Made by a bake from {group.name}: change that one, and bake again"
+    copy.description = f"Made by a bake from {group.name}: edit that group and bake again"
     _wire(copy, group_sockets(copy), strength, all_light or _still_needs_rest(old))
     for other in old:
         other.user_remap(copy)

@@ -88,16 +88,16 @@ def _build_ambient(tree: Any) -> None:
 
 
 def _add_ambient_sockets(tree: Any) -> None:
-    add_output(tree, "Shader", "Shader", "Connect where the closure was connected")
-    add_input(tree, "Shader", "Shader", "The closure to add ambient light to")
-    color = "Share of the light that the closure reflects or transmits"
+    add_output(tree, "Shader", "Shader", "Connect where the shader was connected")
+    add_input(tree, "Shader", "Shader", "The shader to add baked light to")
+    color = "Share of the light that the shader reflects or transmits"
     add_input(tree, "Color", "Color", color, (0.8, 0.8, 0.8, 1.0))
-    add_input(tree, "Alpha", "Float", "Opacity of the closure", 1.0, (0, 1))
+    add_input(tree, "Alpha", "Float", "Opacity of the shader", 1.0, (0, 1))
     strength = "Factor on the light; 1 is the brightness that the lamps give"
     add_input(tree, "Strength", "Float", strength, 1.0, ANY)
-    through = "On: the closure is translucent, and shows the light on the side that is not seen"
+    through = "On: the shader is translucent and shows the light that falls on the far side"
     add_input(tree, "Through", "Bool", through, False)
-    metallic = "Share of the closure that is a mirror; Cycles itself finds what it reflects"
+    metallic = "Share of the shader that is a mirror; Cycles renders its reflections"
     add_input(tree, "Metallic", "Float", metallic, 0.0, (0, 1))
 
 
@@ -137,7 +137,7 @@ def _remaining_closure(tree: Any, shader: Socket, alpha: Socket) -> Socket:
 
 def _build_rest(tree: Any) -> None:
     add_output(tree, "Color", "Color", "Connect where the colour was connected")
-    color = "Colour of the closure whose light LB Ambient shows completely"
+    color = "Colour of the shader whose light LB Ambient shows completely"
     add_input(tree, "Color", "Color", color, (0.8, 0.8, 0.8, 1.0))
     color = add_node(tree, "NodeGroupInput", -400, 200).outputs["Color"]
     seen = add_seen(tree, -1000, 200)

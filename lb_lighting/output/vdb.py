@@ -70,7 +70,7 @@ def write_vdb(
     metadata  the settings of the bake, stored in the file and in each grid
     others    {name: (1 or 3, nx, ny, nz)}, see `volume_light`
     everywhere  {name: the same, or (nx, ny, nz)}, see `ambient_grids`: stored in all voxels
-    token     of the bake, which tells its files from those of other processes, see `new_token`
+    token     of the bake, which sets its files apart from those of other processes, see `new_token`
 
     Light in `light` and `others` is stored within two voxels of any density, and continued outwards
     at the domain's faces, so that interpolation does not darken the border of a cloud.

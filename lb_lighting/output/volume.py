@@ -255,14 +255,12 @@ def require_writable(folder: Path | str) -> None:
             f"The folder {str(folder)[:40]}... has too long a path for Blender; choose another."
         )
     if not os.path.isdir(folder):
-        raise OutputError(f"The folder {folder} does not exist; choose another or make it.")
+        raise OutputError(f"The folder {folder} does not exist; choose another or create it.")
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise OutputError(
-            f"Nothing can be written to {folder}; choose a folder that is writable."
-        ) from error
+        raise OutputError(f"The folder {folder} is not writable; choose another.") from error
 
 
 def stored_path(path: Path | str) -> str:

@@ -121,7 +121,7 @@ def _add_volume_sockets(tree: Any) -> None:
         "Off: add light over the source, for what the camera sees"
     )
     add_input(tree, "Replace", "Bool", replace, True)
-    direct = "Direct light of lamps that scatters towards the eye, from LB Beam, in W/(m2 sr)"
+    direct = "Direct light of lamps that scatters towards the camera, from LB Beam, in W/(m2 sr)"
     add_input(tree, "Direct", "Vector", direct, limits=ANY, hidden=True)
     add_input(tree, "G", "Vector", MEAN_COSINE, (0, 0, 0), COSINE)
 
@@ -134,7 +134,9 @@ def _build_beam(tree: Any) -> None:
     light = "Mean radiance of this beam: its grid lb_direct_1, lb_direct_2, ..., in W/(m2 sr)"
     add_input(tree, "Light", "Vector", light, limits=ANY, hidden=True)
     for axis in AXES:
-        component = f"{axis} of the light's mean direction, by band; the vector's length is 0 to 1"
+        component = (
+            f"{axis} of the mean direction of red, green and blue light; each length is 0 to 1"
+        )
         # Light without a direction scatters evenly.
         add_input(tree, axis, "Vector", component, (0, 0, 0), COSINE)
     add_input(tree, "G", "Vector", MEAN_COSINE, (0, 0, 0), COSINE)
@@ -237,5 +239,5 @@ def _add_lamp_sockets(tree: Any) -> None:
     add_input(tree, "Radius", "Float", "Radius of the lamp, in m, which softens it", 0.0, ANY)
     core = "Size of a voxel, in m; at smaller distances from the lamp its light rises linearly"
     add_input(tree, "Core", "Float", core, 0.0, ANY)
-    peak = "Light at the lamp, as a multiple of the light at the edge of the core"
+    peak = "Light at the lamp, as a multiple of the light at the distance Core"
     add_input(tree, "Peak", "Float", peak, 1.0, ANY)

@@ -42,7 +42,7 @@ class Mesh:
         if np.any(self.vertex < 0) or np.any(self.vertex >= len(self.points)):
             return "corners without a vertex; rebuild its mesh"
         if not is_finite(self.points) and not is_finite(self.points[self.vertex]):
-            return "vertices that are not finite; repair or delete them"
+            return "vertices whose position is not a number; repair or delete them"
         return None
 
     @cached_property
@@ -165,7 +165,7 @@ class Faces:
             raise SceneError(f"'{self.name}' has {self.mesh.fault}.")
         if not is_finite(self.matrices):
             raise SceneError(
-                f"'{self.name}' has a transform that is not finite; clear its location, "
+                f"'{self.name}' has a transform that is not a number; clear its location, "
                 "rotation and scale, and those of its instances."
             )
         if self.dimensions < dimensions:
@@ -193,7 +193,9 @@ def _placed(triangles: Floats, matrices: Floats, name: str) -> Floats:
     rotated = triangles.reshape(-1, 3) @ matrices[:, :3, :3].swapaxes(1, 2)
     placed = (rotated + matrices[:, None, :3, 3]).reshape(-1, 3, 3)
     if not np.all(np.isfinite(placed)):
-        raise SceneError(f"'{name}' has vertices that are not finite; repair or delete them.")
+        raise SceneError(
+            f"'{name}' has vertices whose position is not a number; repair or delete them."
+        )
     return placed
 
 

@@ -121,9 +121,11 @@ def _is_in_edit_mode(ob: Any) -> bool:
 
 def _read_source(ob: bpy.types.Object, parts: Sequence[Part], reader: Reader) -> Source:
     if _is_in_edit_mode(ob):
-        raise SceneError(f"'{ob.name}' is in Edit Mode; leave it to light the mesh.")
+        raise SceneError(f"'{ob.name}' is in Edit Mode; leave Edit Mode to light it.")
     if ob.type == "VOLUME" and is_ours(ob):
-        raise SceneError(f"What '{ob.name}' was baked from is gone; select something else.")
+        raise SceneError(
+            f"The objects that '{ob.name}' was baked from were deleted; select others."
+        )
     if ob.type == "VOLUME":
         return read_volume(ob, reader)
     if smoke.find_domain_settings(ob):

@@ -65,7 +65,7 @@ def read_smoke(ob: bpy.types.Object, reader: Reader) -> SmokeSource:
     )
     if smoke.burns(ob, reader.depsgraph) and not source.glows:
         reader.notes.append(
-            f"The fire of '{ob.name}' does not shine; give its material a Blackbody Intensity."
+            f"The fire of '{ob.name}' emits no light; give its material a Blackbody Intensity."
         )
     return source
 

@@ -75,11 +75,11 @@ class Reader:
         every = [optics for m in materials if (optics := volume_optics(m, attributes))]
         if not every:
             self.notes.append(
-                f"'{ob.name}' has no volume material; the preset '{fallback}' stands in."
+                f"'{ob.name}' has no volume material; the preset '{fallback}' was used."
             )
             return None
         if any(optics != every[0] for optics in every):
-            self.notes.append(f"'{ob.name}' has several volume materials; the first fills it all.")
+            self.notes.append(f"'{ob.name}' has several volume materials; the first was used.")
         return every[0]
 
     def glows(
@@ -102,7 +102,7 @@ class Reader:
                 raise
             if shines:
                 self.notes.append(
-                    f"'{ob.name}' shines by itself, but its light is not baked, and Replace "
+                    f"'{ob.name}' emits light, but that light is not baked, and Replace "
                     f"hides it. {error}"
                 )
             return []

@@ -74,7 +74,7 @@ def burns(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
 def hue(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Floats:
     """(3,): the mean colour of the smoke, scaled to a largest component of 1; 0 for black smoke.
 
-    The brightness is not the user's: the simulation fades colours in, so that even white smoke has
+    The brightness is not the user's: the simulation darkens colours, so even white smoke has
     less than 1 (0.65 after 6 frames, 0.57 after 30).
     """
     _evaluated, settings = _simulated(ob, depsgraph)
@@ -108,7 +108,8 @@ def _simulated(
     density = _cells(settings.density_grid, 1, settings.domain_resolution)
     if density is None or not density.any():
         raise EmptyError(
-            f"There is no smoke in '{ob.name}' at this frame; bake it, or go to a later frame."
+            f"There is no smoke in '{ob.name}' at this frame; bake the simulation, or go to a "
+            "later frame."
         )
     return evaluated, settings
 

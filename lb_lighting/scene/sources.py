@@ -200,7 +200,8 @@ class VolumeSource(GridSource):
     def shares(self, domain: Domain) -> list[Share]:
         if not len(self.matter.bricks) and not self.glows:
             raise SceneError(
-                f"The grid '{self.grid.name}' of '{self.name}' has no values over 0 to light."
+                f"The grid '{self.grid.name}' of '{self.name}' has no values above 0; "
+                "choose another."
             )
         density = averaged(self.cells, domain, self._clamped, ())
         if self.material:

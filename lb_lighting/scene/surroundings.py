@@ -28,9 +28,12 @@ if TYPE_CHECKING:
     import bpy
 
 SURFACES = (
-    "Not selected, so they neither shade nor light it: {}; select them too, with the role Occluder."
+    "Not selected, so they neither shade nor light the selection: {}; select them too, with the "
+    "role Occluder."
 )
-VOLUMES = "Not selected, so these volumes neither shade nor light it: {}; select them too."
+VOLUMES = (
+    "Not selected, so these volumes neither shade nor light the selection: {}; select them too."
+)
 NEAR = 1.0  # edges of the lit box: the distance up to which surfaces count as near
 SHINING_NEAR = 4.0  # the same for volumes that shine
 SMALL = 0.05  # edges of the lit box: smaller objects are not reported
@@ -38,7 +41,7 @@ _CLEAR = {"BSDF_TRANSPARENT", "BSDF_GLASS", "BSDF_REFRACTION", "EMISSION", "HOLD
 _TO_LIGHTS = np.stack(np.meshgrid(*[(0.0, 0.5, 1.0)] * 3), axis=-1).reshape(-1, 3)
 
 
-def tell_surroundings(
+def note_surroundings(
     depsgraph: bpy.types.Depsgraph,
     lights: Sequence[object],
     receivers: Receivers,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the solver's process is asked to do.
+"""The tasks of the solver's process.
 
 A task is sent there as a pickle, and the result of its `run` comes back the same way; see
 `worker.py`. Tasks need no Blender.

@@ -176,10 +176,10 @@ class BakeTask(SceneTask):
         """How many source iterations along ordinates a `Problem` gets that `settings` solve."""
         if self.choices.iterations is not None:
             return self.choices.iterations
-        is_wanted = self.options.gather and settings.model == "physical"
+        is_enabled = self.options.gather and settings.model == "physical"
         has_volumes = any(source.is_volume for source in self.sources)
         is_multiple = settings.scattering == "multiple"
-        if not (is_wanted and has_volumes and is_multiple):
+        if not (is_enabled and has_volumes and is_multiple):
             return 0
         if not source_iteration.is_worthwhile(problem.medium, problem.lights):
             return 0
@@ -197,8 +197,8 @@ class BakeTask(SceneTask):
         iterations: int = min(max(int(budget / seconds), 1), source_iteration.ITERATIONS)
         if iterations < source_iteration.ITERATIONS:
             self.medium_choice.notes.append(
-                f"Directions are gathered {iterations} of {source_iteration.ITERATIONS} times, to "
-                f"finish within about {budget:.0f} s; choose Final to gather them all."
+                f"Directional Scattering ran {iterations} of {source_iteration.ITERATIONS} passes, "
+                f"to finish within about {budget:.0f} s; choose Final quality to run all of them."
             )
         return iterations
 
@@ -208,7 +208,7 @@ class BakeTask(SceneTask):
         """Add the scattered light along ordinates to the `Field` of a `Problem`."""
 
         def progress(share: float) -> None:
-            send(stage="Gathering", fraction=ORDINATES + (WRITE - ORDINATES) * share)
+            send(stage="Directional scattering", fraction=ORDINATES + (WRITE - ORDINATES) * share)
 
         start, device = perf_counter(), self.options.device or None
         medium, lights = problem.medium, problem.lights

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From what was read of a scene to the problem that the solver is given: its voxels are filled."""
+"""Makes the problem for the solver from what was read from a scene: fills its voxels."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Problem:
 
 @dataclass
 class SceneTask:
-    """What was read of a scene, and the problem that it poses.
+    """What was read from a scene; it makes the `Problem` for the solver.
 
     options   `Options`
     sources   see scene/sources.py
@@ -105,7 +105,9 @@ class SceneTask:
         of_sources = self._of_each(lambda source: source.emission(domain)).values()
         emissions = [emission for emission in of_sources if emission is not None]
         if emissions and self.options.model == "paper":
-            self.medium_choice.notes.append("The paper model leaves out the light of fire.")
+            self.medium_choice.notes.append(
+                "The paper model leaves out the light of fire; choose Physical to bake it."
+            )
             return None
         return np.sum(emissions, axis=0) if np.any(emissions) else None
 
@@ -128,8 +130,8 @@ class SceneTask:
             width = (upper - lower).max() / domain.voxel_size
             if width < COARSEST and len(bounds) > 1:
                 self.medium_choice.notes.append(
-                    f"'{source.name}' is only {width:.1g} voxels large among the others; bake it "
-                    "on its own to see its shape."
+                    f"'{source.name}' is only {width:.1g} voxels wide beside the other objects; "
+                    "bake it separately to see its shape."
                 )
         return domain
 

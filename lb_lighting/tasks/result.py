@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake results in, and what its file says of that to later frames of a sequence."""
+"""The result of a bake, and the choices that its file passes on to later frames of a sequence."""
 
 from __future__ import annotations
 

@@ -8,8 +8,9 @@ from bpy.props import BoolProperty
 
 from .. import bake, clearing
 from ..errors import LightingError
-from ..options import properties_of
+from ..options import Options, properties_of
 from ..output import render_settings
+from ..reading import scene_of
 from ..scene.medium_choice import CUSTOM
 from ..sequence import Sequence
 from ..tasks.estimate import Expected
@@ -20,7 +21,7 @@ FAR = 1000  # transport optical depths, for a handover at infinity, which Blende
 if TYPE_CHECKING:
     _Operator = bpy.types.Operator
 else:
-    _Operator = object  # Blender wants its own class last among the bases
+    _Operator = object  # Blender requires its own class last among the bases
 
 # What running operators return: a set of one word, as in {"FINISHED"}.
 type _Status = set[Any]
@@ -94,7 +95,7 @@ class _Works(_Operator):
 
     def cancel(self, context: Any) -> None:
         """Blender calls this when the operator ends with its window or its file."""
-        running.stop("ended with its window")
+        running.stop("was stopped because its window closed")
         self._leave(context, set())
 
     def _outcome(self, context: bpy.types.Context) -> bake.Outcome | bake.Kept | Expected | None:
@@ -131,28 +132,28 @@ def _windows(context: bpy.types.Context) -> bpy.types.WindowManager:
 
 
 class LB_OT_bake(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """Light the selected volumes, smoke domains and meshes at the current frame"""
+    """Bake light into the selected volumes, smoke domains and meshes at the current frame"""
 
     bl_idname = "lb_lighting.bake"
     bl_label = "Bake LB Light"
     bl_options = {"REGISTER", "UNDO"}
 
     def begin(self, context: bpy.types.Context) -> _AnyWork:
-        options = bake.Options.of(bake.scene_of(context))
+        options = Options.of(scene_of(context))
         return bake.Baking(context, running.selected(context), options)
 
 
 class LB_OT_bake_animation(_Works, bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """Light the selected volumes and smoke domains at every frame of the scene's range, into a \
-sequence of files. Frames that are baked already are kept"""
+    """Bake the light of every frame in the scene's frame range, into a sequence of .vdb files. \
+Frames that are already baked are kept"""
 
     bl_idname = "lb_lighting.bake_animation"
     bl_label = "Bake LB Light Animation"
     bl_options = {"REGISTER", "UNDO"}
 
     def begin(self, context: bpy.types.Context) -> _AnyWork:
-        scene = bake.scene_of(context)
-        options, overwrite = bake.Options.of(scene), properties_of(scene).overwrite
+        scene = scene_of(context)
+        options, overwrite = Options.of(scene), properties_of(scene).overwrite
         first, last = scene.frame_start, scene.frame_end
         return Sequence(context, running.selected(context), options, first, last, overwrite)
 
@@ -165,7 +166,7 @@ class LB_OT_estimate(_Works, bpy.types.Operator):  # noqa: N801 - Blender's conv
     bl_options = {"REGISTER"}
 
     def begin(self, context: bpy.types.Context) -> _AnyWork:
-        options = bake.Options.of(bake.scene_of(context))
+        options = Options.of(scene_of(context))
         return bake.Estimating(context, running.selected(context), options)
 
 
@@ -184,7 +185,7 @@ class LB_OT_customize(bpy.types.Operator):  # noqa: N801 - Blender's convention
 
     def execute(self, context: Any) -> _Status:
         assert running.plan is not None
-        settings, planned = properties_of(bake.scene_of(context)), running.plan.settings
+        settings, planned = properties_of(scene_of(context)), running.plan.settings
         settings.quality = CUSTOM
         settings.photons = planned.photons or 0
         settings.handover = min(planned.handover, FAR)
@@ -249,7 +250,7 @@ class LB_OT_use(bpy.types.Operator):  # noqa: N801 - Blender's convention
         if not hasattr(context.scene, "cycles"):
             cls.poll_message_set("Enable the Cycles add-on")
             return False
-        if not (render_settings.uses_light(context.scene) or bake.is_lit(bake.scene_of(context))):
+        if not (render_settings.uses_light(context.scene) or bake.is_lit(scene_of(context))):
             cls.poll_message_set("Bake LB light first")
             return False
         return True
@@ -257,10 +258,10 @@ class LB_OT_use(bpy.types.Operator):  # noqa: N801 - Blender's convention
     def execute(self, context: Any) -> _Status:
         if render_settings.uses_light(context.scene):
             render_settings.leave_light(context.scene)
-            self.report({"INFO"}, "The render settings are restored")
+            self.report({"INFO"}, "The render settings were restored")
         else:
             render_settings.use_light(context.scene)
-            self.report({"INFO"}, "The render settings are set for LB light")
+            self.report({"INFO"}, "The render settings were set for LB light")
         return {"FINISHED"}
 
 

@@ -27,7 +27,7 @@ LETTER, FRAME = 6.5, 60  # pixels: mean width of a letter, and width of the marg
 if TYPE_CHECKING:
     _BlenderPanel = bpy.types.Panel
 else:
-    _BlenderPanel = object  # Blender wants its own class last among the bases
+    _BlenderPanel = object  # Blender requires its own class last among the bases
 
 
 class _Panel(_BlenderPanel):

@@ -12,10 +12,12 @@ import bpy.utils.previews
 import numpy as np
 from bpy.props import BoolProperty
 
-from .. import bake, exchange
+from .. import exchange
 from ..arrays import Floats
 from ..errors import LightingError
 from ..job import Job
+from ..options import Options
+from ..reading import read_scene, scene_of, sources_of
 from ..tasks.preview import PICTURE, SURVEY, Preview, Survey
 from ..transport.preview.pictures import View
 from . import running
@@ -33,16 +35,16 @@ _icons: Any = None  # a collection of pictures, while we are registered
 
 
 class LB_OT_preview(bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """Preview the selected medium in the light of the scene by tracing free paths. Needs no bake, \
-and any change ends it"""
+    """Preview the selected medium in the light of the scene by tracing free paths. It needs no \
+bake, and any change to the scene stops it"""
 
     bl_idname = "lb_lighting.preview"
     bl_label = "Preview LB Light"
 
     noise: BoolProperty(  # type: ignore[valid-type] # Blender's way to declare properties
         name="As Noise",
-        description="Replace the selection's density with fractal noise of 4096 cells along an "
-        "edge, too fine for any grid",
+        description="Fill the selection with fractal noise of 4096 cells along an edge, which is "
+        "too fine for a grid",
     )
 
     @classmethod
@@ -53,11 +55,11 @@ and any change ends it"""
         return why is None
 
     def execute(self, context: Any) -> set[Any]:
-        scene = bake.scene_of(context)
-        options = bake.Options.of(scene)
+        scene = scene_of(context)
+        options = Options.of(scene)
         try:
-            objects = bake.sources_of(scene, running.selected(context))
-            task = Preview(bake.read_scene(context, objects, options), _view(context), self.noise)
+            objects = sources_of(scene, running.selected(context))
+            task = Preview(read_scene(context, objects, options), _view(context), self.noise)
             start(Job(task))
         except LightingError as error:
             self.report({"ERROR"}, str(error))
@@ -69,7 +71,7 @@ and any change ends it"""
 
 
 class LB_OT_preview_stop(bpy.types.Operator):  # noqa: N801 - Blender's convention
-    """End the preview"""
+    """Stop the preview"""
 
     bl_idname = "lb_lighting.preview_stop"
     bl_label = "Stop LB Preview"
@@ -108,10 +110,10 @@ def _draw_survey(context: bpy.types.Context, column: bpy.types.UILayout, survey:
     grid = column.grid_flow(columns=2, row_major=True, even_columns=True)
     for name, value in (
         ("Mean free path", _length(figures.mean_free_path)),
-        ("Inside matter", _length(figures.in_matter)),
+        ("In matter only", _length(figures.in_matter)),
         ("Optical depth", " x ".join(f"{depth:.3g}" for depth in figures.depth_max)),
-        ("Of a voxel", f"{figures.voxel_depth_max:.2g}"),
-        ("Uncollided light", f"{figures.escaped:.0%}"),
+        ("Depth of a voxel", f"{figures.voxel_depth_max:.2g}"),
+        ("Passes through", f"{figures.escaped:.0%}"),
         ("Empty space", f"{figures.void:.0%}"),
     ):
         grid.label(text=name)
@@ -146,7 +148,7 @@ def look() -> float | None:
     if _job is None:
         return None
     task: Any = _job.task
-    if task.bake.options != bake.Options.of(bake.scene_of(bpy.context)):
+    if task.bake.options != Options.of(scene_of(bpy.context)):
         stop()
         return None
     try:
@@ -179,7 +181,7 @@ def _show(name: str, pixels: Floats) -> None:
 
 def _over(picture: Floats) -> Floats:
     """A picture of light over a dim background, in display values."""
-    view = bake.scene_of(bpy.context).view_settings
+    view = scene_of(bpy.context).view_settings
     assert view is not None
     exposed = picture[..., :3] * 2**view.exposure
     light = np.clip(exposed + DIM * (1 - picture[..., 3:]), 0, 1)

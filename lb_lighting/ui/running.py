@@ -111,7 +111,7 @@ def draw_status(header: Any, _context: bpy.types.Context) -> None:
 
 @persistent
 def _stop_for_another_file(*_arguments: Any) -> None:
-    stop("was ended because another file was opened")
+    stop("was stopped because another file was opened")
 
 
 def register() -> None:
@@ -120,6 +120,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    stop("was ended because the extension was disabled")
+    stop("was stopped because the extension was disabled")
     bpy.app.handlers.load_pre.remove(_stop_for_another_file)
     _status_bar.remove(draw_status)

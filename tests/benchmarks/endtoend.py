@@ -25,9 +25,11 @@ bpy.utils.expose_bundled_modules()
 import openvdb  # noqa: E402 - only now is it exposed
 
 import lb_lighting  # noqa: E402
-from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
 from lb_lighting.job import Job  # noqa: E402
+from lb_lighting.options import Options  # noqa: E402
+from lb_lighting.reading import read_scene  # noqa: E402
+from lb_lighting.showing import apply  # noqa: E402
 from tests.benchmarks import media  # noqa: E402
 from tests.benchmarks.table import BUILD, publish  # noqa: E402
 from tests.jobs import Solve  # noqa: E402
@@ -167,8 +169,8 @@ def reference(case, folder):
 def solved(case, folder, handover):
     """(field, seconds) of the solve that `bake` does."""
     source = build(case, folder)
-    options = bake.Options.of(bpy.context.scene, handover=handover, **LATTICE)
-    problem = bake.read_scene(bpy.context, [source], options).problem()
+    options = Options.of(bpy.context.scene, handover=handover, **LATTICE)
+    problem = read_scene(bpy.context, [source], options).problem()
     start = perf_counter()
     settings = replace(options.settings(), photons=PHOTONS)
     field = Job(Solve(problem.medium, problem.lights, settings)).wait()
@@ -178,9 +180,9 @@ def solved(case, folder, handover):
 def lit(case, folder, field, mode, samples):
     """(picture, seconds) of the scene with the field."""
     source = build(case, folder)
-    options = bake.Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
-    task = bake.read_scene(bpy.context, [source], options)
-    bake.apply(bpy.context, [source], task, task.keep(task.problem(), field))
+    options = Options.of(bpy.context.scene, mode=mode, folder=str(folder), **LATTICE)
+    task = read_scene(bpy.context, [source], options)
+    apply(bpy.context, [source], task, task.keep(task.problem(), field))
     return picture(folder, samples)
 
 

@@ -22,6 +22,9 @@ bpy.utils.expose_bundled_modules()
 import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.options import Options  # noqa: E402
+from lb_lighting.reading import read_scene  # noqa: E402
+from lb_lighting.showing import apply  # noqa: E402
 from lb_lighting.transport import trace  # noqa: E402
 from lb_lighting.transport.field import Report  # noqa: E402
 from tests.benchmarks import crowns  # noqa: E402
@@ -123,7 +126,7 @@ def rms(values):
 def by_lattice(objects, case):
     """Bake the light of `objects`, and return the `Report`."""
     with TemporaryDirectory() as folder:
-        options = bake.Options(resolution=case.resolution, folder=folder)
+        options = Options(resolution=case.resolution, folder=folder)
         return bake.bake(bpy.context, objects, options).field.report
 
 
@@ -133,12 +136,12 @@ def by_photons(objects, case):
     Photons do not use `shadow_density`, so nearly horizontal leaves are worse here.
     """
     with TemporaryDirectory() as folder:
-        options = bake.Options(resolution=case.resolution, folder=folder)
-        task = bake.read_scene(bpy.context, objects, options)
+        options = Options(resolution=case.resolution, folder=folder)
+        task = read_scene(bpy.context, objects, options)
         problem = task.problem()
         field = trace(problem.medium, problem.lights, PHOTONS)
         field.report = Report("photons", field.report.device)  # files cannot store its arrays
-        bake.apply(bpy.context, objects, task, task.keep(problem, field))
+        apply(bpy.context, objects, task, task.keep(problem, field))
     return field.report
 
 

@@ -16,8 +16,9 @@ import numpy as np
 bpy.utils.expose_bundled_modules()
 
 import lb_lighting  # noqa: E402 - OpenVDB has to be exposed first
-from lb_lighting.bake import Baking, Options  # noqa: E402
+from lb_lighting.bake import Baking  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.options import Options  # noqa: E402
 from tests import scenery  # noqa: E402
 from tests.benchmarks.table import publish  # noqa: E402
 

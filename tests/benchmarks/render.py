@@ -26,6 +26,7 @@ bpy.utils.expose_bundled_modules()
 import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.options import Options  # noqa: E402
 from lb_lighting.output import render_settings  # noqa: E402
 from tests.benchmarks import crowns, endtoend, pictures, shots  # noqa: E402
 from tests.benchmarks.render_measures import (  # noqa: E402
@@ -122,7 +123,7 @@ def baked(shot, folder, **changes):
     meter = pictures.Meter()
     with meter():
         chosen = {"quality": "CUSTOM"} | shot.options | changes
-        options = bake.Options(folder=str(folder), **chosen)
+        options = Options(folder=str(folder), **chosen)
         outcome = bake.bake(bpy.context, objects, options)
         render_settings.use_light(bpy.context.scene)
     return meter, outcome

@@ -90,7 +90,7 @@ def test_fire(lb, tmp_path):
     center = center_of_mass(flame, domain.centers())
     assert np.abs(center - SOURCE)[:2].max() < domain.voxel_size
     told = share(lb, ob, domain, "cloud")[1]
-    told_of_fire = "The fire of 'Cube' does not shine; give its material a Blackbody Intensity."
+    told_of_fire = "The fire of 'Cube' emits no light; give its material a Blackbody Intensity."
     assert told == [told_of_fire]
     with pytest.raises(
         part(lb, "errors").SceneError,

@@ -222,7 +222,7 @@ def deleted():
     yield 0.1
     bpy.data.objects.remove(cloud)
     yield from until(ended)
-    said("has been deleted meanwhile; nothing was changed")
+    said("was deleted during the bake; nothing was changed")
     assert files(folder) == ["ball.vdb"]
 
 

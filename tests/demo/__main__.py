@@ -17,6 +17,7 @@ import openvdb  # noqa: E402 - only now is it exposed
 import lb_lighting  # noqa: E402
 from lb_lighting import bake  # noqa: E402
 from lb_lighting.cli import leave  # noqa: E402
+from lb_lighting.options import Options  # noqa: E402
 from lb_lighting.output.vdb import DENSITY_GRID  # noqa: E402
 from tests.output.rendering import silent_stdout  # noqa: E402
 
@@ -48,7 +49,7 @@ def main():
 def light(name, objects, changes):
     scene = bpy.context.scene
     chosen = [scene.objects[ob] for ob in objects]
-    options = bake.Options.of(scene, folder=str(OUTPUT), **changes)
+    options = Options.of(scene, folder=str(OUTPUT), **changes)
     outcome = bake.bake(bpy.context, chosen, options)
     print(f"{name}: {outcome.summary}", fall_off(outcome), *outcome.notes, sep="\n  ")
     bpy.ops.wm.save_as_mainfile(filepath=str(OUTPUT / f"{name}.blend"), compress=True)

@@ -2,7 +2,7 @@
 """The three scenes of paper 1, section 3.2, made from real inputs: a cloud, a plant, a teapot.
 
 Each function fills the empty file and returns the names of the objects to light and the
-`bake.Options` that differ from the default.
+`Options` that differ from the default.
 """
 
 import bpy

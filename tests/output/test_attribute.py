@@ -243,7 +243,7 @@ def test_remove_leaves_the_mesh_as_it_was(painted):
 def test_what_is_not_a_mesh_is_refused_before_anything_is_written():
     mesh = add(triangle())
     empty = add(None, "nothing")
-    with pytest.raises(OutputError, match="nothing is not a mesh"):
+    with pytest.raises(OutputError, match="'nothing' is not a mesh"):
         write_ambient([mesh, empty], [np.ones((2, 3, 1)), np.ones((2, 0, 1))])
     assert AMBIENT_ATTRIBUTE not in mesh.data.attributes
     remove_ambient(empty)
@@ -251,7 +251,7 @@ def test_what_is_not_a_mesh_is_refused_before_anything_is_written():
 
 def test_a_mesh_that_was_changed_meanwhile_is_refused_before_anything_is_written():
     uncut, cut = add(triangle()), add(triangle(), "cut")
-    with pytest.raises(OutputError, match=r"^The mesh of cut was changed while it was lit; bake"):
+    with pytest.raises(OutputError, match=r"^The mesh of 'cut' changed during the bake; bake"):
         write_ambient([uncut, cut], [np.ones((2, 3, 1)), np.ones((2, 4, 1))])
     assert AMBIENT_ATTRIBUTE not in uncut.data.attributes
 
@@ -260,7 +260,7 @@ def test_edit_mode_is_refused():
     ob = add(triangle())
     bpy.context.view_layer.objects.active = ob
     bpy.ops.object.mode_set(mode="EDIT")
-    with pytest.raises(OutputError, match="leave it"):
+    with pytest.raises(OutputError, match="leave Edit Mode"):
         write([ob])
 
 

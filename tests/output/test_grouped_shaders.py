@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake
+from lb_lighting.clearing import clear
 from lb_lighting.output.attribute import write_ambient
 from lb_lighting.output.shading_surfaces import hindrance, unwire_ambient, wire_ambient
 from lb_lighting.scene.materials import leaf_optics
@@ -269,7 +269,7 @@ def test_clear_gives_the_groups_back(plants):
     for lit, strength in ((plants, 1.0), (plants, 2.0), (plants[1:], 2.0)):
         bake_light(*lit, strength=strength)
         assert len(copies()) == 2
-    bake.clear(bpy.context)
+    clear(bpy.context)
     assert snapshot() == before
 
 
@@ -308,7 +308,7 @@ def test_saved_and_loaded_they_are_still_given_back(plants, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.open_mainfile(filepath=path)
     assert len(copies()) == 2
-    bake.clear(bpy.context)
+    clear(bpy.context)
     after = snapshot()
     nodes = {key: value.get("nodes") for key, value in after.items() if "nodes" in value}
     assert {key: before[key]["nodes"] for key in nodes} == nodes

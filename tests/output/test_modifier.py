@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from lb_lighting import bake
+from lb_lighting.clearing import clear
 from lb_lighting.output.ambient import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,
@@ -238,7 +238,7 @@ def test_clear_gives_everything_back(plant, tmp_path):
     for foliage in ("ATTRIBUTE", "MODIFIER", "MODIFIER"):
         bake_light(fog, plant, foliage=foliage)
     assert len([m for m in plant.modifiers if m.node_group.name == GRID_GROUP]) == 1
-    assert bake.clear(bpy.context).count == 2
+    assert clear(bpy.context).count == 2
     assert snapshot() == before
 
 

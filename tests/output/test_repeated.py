@@ -11,6 +11,8 @@ import pytest
 from mathutils import Matrix
 
 from lb_lighting import bake
+from lb_lighting.clearing import clear
+from lb_lighting.options import Options
 from lb_lighting.output.ambient import (
     AMBIENT_ATTRIBUTE,
     BACK_ATTRIBUTE,
@@ -21,6 +23,7 @@ from lb_lighting.output.ambient import (
 from lb_lighting.output.attribute import has_ambient
 from lb_lighting.output.grid_groups import GRID_GROUP
 from lb_lighting.output.modifier import has_modifier
+from lb_lighting.reading import read_scene
 from lb_lighting.scene.read_meshes import read_mesh
 from lb_lighting.sequence import Sequence
 from tests import scenery
@@ -101,7 +104,7 @@ def test_what_modifiers_make_is_lit_where_it_is(scene, repeat):
     (note,) = about(outcome.notes, ob.name)
     assert "modifiers" in note
     assert GRID_GROUP in note
-    bake.clear(bpy.context)
+    clear(bpy.context)
     assert snapshot() == before
 
 
@@ -135,7 +138,7 @@ def test_each_of_those_that_share_a_mesh_has_its_own_light(twins):
     assert has_ambient(twins[0])
     means = [shown(twin).mean() for twin in twins]
     assert max(means) > 1.1 * min(means)
-    bake.clear(bpy.context)
+    clear(bpy.context)
     assert snapshot() == before
 
 
@@ -183,7 +186,7 @@ def test_bodies_and_walls_are_lit_where_they_are(scene, role):
         for name, side in zip((AMBIENT_ATTRIBUTE, BACK_ATTRIBUTE), sides, strict=True):
             assert shown(ob, name) == pytest.approx(side, rel=2e-3, abs=2e-4 * float(sides.max()))
         assert any(reason in note for note in about(outcome.notes, ob.name))
-    bake.clear(bpy.context)
+    clear(bpy.context)
     bpy.context.view_layer.update()
     assert snapshot() == before
 
@@ -250,8 +253,8 @@ def test_a_note_names_some_of_many(scene):
     scene.lb_lighting.resolution = 8
     first = scenery.add_leaves("tree", count=20)
     trees = [first, *(scenery.link(f"tree {number}", first.data) for number in range(9))]
-    task = bake.read_scene(bpy.context, trees, bake.Options.of(scene))
-    (note,) = about(task.reader.notes, "tree")
+    task = read_scene(bpy.context, trees, Options.of(scene))
+    (note,) = about(task.medium_choice.notes, "tree")
     assert note.startswith("'tree', 'tree 0', 'tree 1', 'tree 2', 'tree 3' and 5 more: the mesh")
 
 
@@ -265,8 +268,8 @@ def test_what_others_instance_is_told_of(scene, selected):
     empty.instance_type, empty.instance_collection = "COLLECTION", crown
     empty.location.z = -30  # too far to affect the selection
     chosen = [ob, empty] if selected else [ob]
-    task = bake.read_scene(bpy.context, chosen, bake.Options.of(scene))
-    (note,) = about(task.reader.notes, "copy")
+    task = read_scene(bpy.context, chosen, Options.of(scene))
+    (note,) = about(task.medium_choice.notes, "copy")
     assert ("leaves" in note) is not selected
 
 
@@ -275,7 +278,7 @@ def test_all_frames_of_a_plant_that_grows_have_its_light(scene, tmp_path):
     ob = scenery.add_leaves(count=30)
     build = ob.modifiers.new("build", "BUILD")
     build.frame_start, build.frame_duration = 1, 2
-    options = bake.Options.of(scene, folder=str(tmp_path))
+    options = Options.of(scene, folder=str(tmp_path))
     outcome = bake.run(Sequence(bpy.context, [ob], options, 2, 3), bpy.context)
     assert len(about(outcome.notes, ob.name)) == 1
     assert has_modifier(ob)

@@ -5,11 +5,11 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting import bake
 from lb_lighting.clearing import clear
 from lb_lighting.output import ties
 from lb_lighting.output.sources import RESULT, is_lost, scene_objects
 from lb_lighting.output.volume import APPENDED, baked_path, baked_volumes, is_foreign
+from lb_lighting.reading import sources_of
 from tests import scenery
 from tests.keeping import hidden, light
 from tests.scenery import bake_light, snapshot
@@ -223,7 +223,7 @@ class TestCopies:
         bpy.context.scene.collection.objects.link(copy)
         bpy.context.view_layer.update()
         assert hidden(fog, copy) == [True, False]
-        assert bake.sources_of(bpy.context.scene, [baked]) == [fog]
+        assert sources_of(bpy.context.scene, [baked]) == [fog]
 
     def test_a_bake_of_the_copy_leaves_the_light_of_the_first(self, scene, fog, baked):
         scene.lb_lighting.resolution = 8
@@ -242,8 +242,8 @@ class TestCopies:
         bpy.context.view_layer.update()
         copied_light, copy = duplicate(fog, baked)
         copy.hide_viewport = fog.hide_viewport = True
-        assert bake.sources_of(bpy.context.scene, [copied_light]) == [copy]
-        assert bake.sources_of(bpy.context.scene, [baked]) == [fog]
+        assert sources_of(bpy.context.scene, [copied_light]) == [copy]
+        assert sources_of(bpy.context.scene, [baked]) == [fog]
         delete(copied_light)
         bpy.context.view_layer.update()
         assert hidden(fog, copy) == [True, False]
@@ -297,7 +297,7 @@ class TestAppended:
         cleared = clear(bpy.context)
         assert hidden(fog) == [False]
         (note,) = cleared.delete_files()
-        assert note == f"{path} was kept, because it belongs to another .blend."
+        assert note == f"{path} was kept, because it belongs to another .blend file."
         assert path.exists()
 
     def test_what_is_linked_is_left_to_its_file(self, library):

@@ -7,6 +7,7 @@ import pytest
 
 from lb_lighting import bake, cli
 from lb_lighting.errors import LightingError, SceneError
+from lb_lighting.options import Options
 from lb_lighting.output.attribute import AMBIENT_ATTRIBUTE
 from lb_lighting.output.sources import RESULT
 from lb_lighting.output.volume import baked_volumes
@@ -85,9 +86,11 @@ UNREADABLE = {
     turn_by_nan: "'ball' has a location, rotation or scale that is not a number; clear it.",
     scale_to_nothing: "'ball' is scaled to nothing; give it a size.",
     flatten_a_solid: "'ball' is scaled to nothing along an axis; give it a size.",
-    move_a_vertex_to_nowhere: "'ball' has vertices that are not finite; repair or delete them.",
-    move_a_vertex_beyond_reach: "'ball' has vertices that are not finite; repair or delete them.",
-    edit: "'ball' is in Edit Mode; leave it to light the mesh.",
+    move_a_vertex_to_nowhere: "'ball' has vertices whose position is not a number; repair "
+    "or delete them.",
+    move_a_vertex_beyond_reach: "'ball' has vertices whose position is not a number; repair "
+    "or delete them.",
+    edit: "'ball' is in Edit Mode; leave Edit Mode to light it.",
 }
 
 
@@ -178,7 +181,7 @@ class TestBakes:
         (lost,) = baked_volumes(scene)
         bpy.data.objects.remove(fog)
         outcome = bake_light(lost, leaves)
-        beginning = f"'{lost.name}' is left out. What '{lost.name}' was baked from is gone; select"
+        beginning = f"'{lost.name}' is left out. The objects that '{lost.name}' was baked from"
         assert any(note.startswith(beginning) for note in outcome.notes)
         assert is_lit(leaves)
 
@@ -226,7 +229,7 @@ class TestBakes:
 
     def test_a_sequence_goes_on_though_a_camera_is_selected(self, scene, tmp_path):
         fog, eye = scenery.add_fog(tmp_path), scenery.link("eye", bpy.data.cameras.new("eye"))
-        options = bake.Options.of(scene)
+        options = Options.of(scene)
         paths = set()
         for last in (1, 2):
             sequence = Sequence(bpy.context, [eye, fog], options, 1, last)
@@ -241,7 +244,7 @@ class TestBakes:
     def test_an_object_much_smaller_than_the_others_is_noted(self, scene):
         leaves, speck = scenery.add_leaves(), scenery.add_ball("speck", radius=0.01)
         outcome = bake_light(leaves, speck)
-        (note,) = [note for note in outcome.notes if "voxels large among the others" in note]
+        (note,) = [note for note in outcome.notes if "voxels wide beside the other objects" in note]
         assert note.startswith("'speck' is only 0.04 voxels")
 
     def test_long_names(self, scene):

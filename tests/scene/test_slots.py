@@ -117,7 +117,7 @@ def test_an_empty_first_slot_is_no_material(materials, tmp_path):
         ob.data.materials.append(material and material())
     source, notes = read(ob)
     assert source.material is None
-    assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
+    assert notes == ["'fog' has no volume material; the preset 'cloud' was used."]
 
 
 def test_a_circle_of_links_is_refused(tmp_path):
@@ -127,7 +127,7 @@ def test_a_circle_of_links_is_refused(tmp_path):
     first, second = (tree.nodes.new("ShaderNodeAddShader") for _ in range(2))
     tree.links.new(first.outputs[0], second.inputs[0])
     tree.links.new(second.outputs[0], first.inputs[0])
-    with pytest.raises(SceneError, match="The links of 'fog' lead in a circle at the node 'Add"):
+    with pytest.raises(SceneError, match="The links of 'fog' form a loop at the node 'Add"):
         read(ob)
 
 
@@ -172,7 +172,7 @@ class TestGrids:
         both = combine(tree, tree.nodes["Emission"], add_node(tree, "ShaderNodeVolumeScatter"))
         connect(material, both, "Volume")
         notes = read(ob)[1]
-        assert any(note.startswith("'fog' shines by itself, but its") for note in notes)
+        assert any(note.startswith("'fog' emits light, but that") for note in notes)
 
     def test_emission_by_a_missing_grid_is_refused_if_it_is_all(self, tmp_path):
         ob = scenery.add_fog(tmp_path, material=False)

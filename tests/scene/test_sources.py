@@ -165,7 +165,7 @@ class TestVolumes:
 
     def test_a_missing_material_is_noted(self, tmp_path):
         (_found, notes) = read(scenery.add_fog(tmp_path, material=False))
-        assert notes == ["'fog' has no volume material; the preset 'cloud' stands in."]
+        assert notes == ["'fog' has no volume material; the preset 'cloud' was used."]
 
     @pytest.mark.parametrize("medium", [FROM_MATERIAL, "cloud"])
     def test_emission(self, tmp_path, medium):
@@ -188,7 +188,7 @@ class TestVolumes:
         ((source,), notes) = read(ob)
         assert source.emission(DOMAIN) is None
         assert len(notes) == 1
-        assert "'fog' shines by itself, but its light is not baked" in notes[0]
+        assert "'fog' emits light, but that light is not baked" in notes[0]
 
     def test_emission_in_object_space(self, tmp_path):
         ob = scenery.add_fog(tmp_path)
@@ -265,7 +265,7 @@ class TestSurfaces:
         assert notes == []
         ob.data.materials.append(scenery.volume_material(density=6.0))
         ob.data.polygons[1].material_index = 2
-        note = "'ball' has several volume materials; the first fills it all."
+        note = "'ball' has several volume materials; the first was used."
         assert read(ob)[1] == [note]
 
     @pytest.mark.parametrize("role", ["FOLIAGE", "SOLID", "OCCLUDER"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lb_lighting.scene.lights.receivers import Receivers
-from lb_lighting.scene.surroundings import tell_surroundings
+from lb_lighting.scene.surroundings import note_surroundings
 from lb_lighting.transport.lights.distant import Sky, Sun
 from lb_lighting.transport.lights.lamps import AreaLight, PointLight, SpotLight
 from tests import scenery
@@ -23,7 +23,7 @@ def notes_of(*lights, volumes=True, skipped=()):
     lit = scenery.link("lit", None)
     depsgraph = bpy.context.evaluated_depsgraph_get()
     receivers = Receivers((lit,), (volumes,), np.full(3, -1.0), np.full(3, 1.0))
-    tell_surroundings(depsgraph, lights, receivers, notes, skipped)
+    note_surroundings(depsgraph, lights, receivers, notes, skipped)
     return notes
 
 
@@ -63,8 +63,8 @@ def test_all_are_named_in_one_sentence_the_largest_first():
     add_box("wall", (0.1, 3, 3), (2, 0, 0))
     add_box("floor")
     assert notes_of(Sky(1.0)) == [
-        "Not selected, so they neither shade nor light it: 'floor', 'wall', 'stone'; select them "
-        "too, with the role Occluder."
+        "Not selected, so they neither shade nor light the selection: 'floor', 'wall', 'stone'; "
+        "select them too, with the role Occluder."
     ]
 
 
@@ -169,7 +169,8 @@ def test_a_room_is_named_and_a_dome_far_away_is_not():
 def test_volumes_have_a_separate_sentence(tmp_path):
     scenery.add_fog(tmp_path, name="cloud").location = (2, 0, 0)
     assert notes_of() == [
-        "Not selected, so these volumes neither shade nor light it: 'cloud'; select them too."
+        "Not selected, so these volumes neither shade nor light the selection: 'cloud'; select "
+        "them too."
     ]
 
 

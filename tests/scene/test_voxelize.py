@@ -146,7 +146,9 @@ class TestWorldParts:
         mesh = add_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
         mesh.vertices[1].co.x = np.nan
         (part,) = parts_of(add_object(mesh, "broken"))
-        with pytest.raises(SceneError, match=r"^'broken' has vertices that are not finite; repair"):
+        with pytest.raises(
+            SceneError, match=r"^'broken' has vertices whose position is not a number; repair"
+        ):
             _ = part.faces.triangles
 
     def test_split_by_material_slot(self):

@@ -111,13 +111,13 @@ class TestBake:
         assert bpy.ops.lb_lighting.bake(context) == {"FINISHED"}
         assert fog.hide_render
         assert scenery.ambient(leaves).mean() > 0
-        assert "Info: Lit 16 x 16 x 16 voxels, 2 bands, " in capfd.readouterr().out
+        assert "Info: Lit 16 x 16 x 16 voxels, 2 colour bands, " in capfd.readouterr().out
 
     def test_notes_are_warnings(self, scene, tmp_path, capfd):
         scenery.select(scenery.add_fog(tmp_path, material=False))
         bpy.ops.lb_lighting.bake()
         told = capfd.readouterr().out
-        assert "Warning: 'fog' has no volume material; the preset 'cloud' stands in." in told
+        assert "Warning: 'fog' has no volume material; the preset 'cloud' was used." in told
         assert "Warning: Solved with NumPy; an OpenCL driver" in told
 
     def test_again_without_a_new_selection(self, scene, tmp_path):
@@ -190,7 +190,7 @@ class TestQuality:
         scenery.select(scenery.add_fog(tmp_path))
         scene.lb_lighting.quality = "preview"
         assert bpy.ops.lb_lighting.bake() == {"FINISHED"}
-        assert any("of the light that is seen" in line for line in running.last)
+        assert any("of the visible light" in line for line in running.last)
         assert any("the target is 20%" in line for line in running.last)
         assert running.plan.quality == "preview"
 
@@ -347,7 +347,7 @@ BAD = {
     ask_for_no_voxels: "A resolution of 0 voxels is too low; use 7 or more.",
     ask_for_too_many_voxels: "the largest resolution that fits is ",
     switch_off_the_sun: "The scene has no light; add a lamp",
-    write_nowhere: "nowhere does not exist; choose another or make it.",
+    write_nowhere: "nowhere does not exist; choose another or create it.",
     ask_for_an_abacus: "There is no device called 'abacus'; choose one of: ",
 }
 

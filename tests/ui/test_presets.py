@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import lb_lighting
-from lb_lighting.bake import Options
 from lb_lighting.errors import MediumError, SettingsError
+from lb_lighting.options import Options
 from lb_lighting.output.volume import baked_volumes
 from lb_lighting.transport.medium import PRESETS
 from tests import scenery
@@ -125,7 +125,7 @@ def test_custom_coefficients_have_the_optical_depth_asked_for(scene, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "error", "said"),
     [
-        ({"sigma_s": (0, 0, 0)}, SettingsError, "The custom medium is void"),
+        ({"sigma_s": (0, 0, 0)}, SettingsError, "The custom medium is empty"),
         ({"sigma_a": (0, -1, 0)}, MediumError, "sigma_a must be between 0"),
         ({"g": (0, 1, 0)}, MediumError, "g must be between -1 and 1"),
         ({"medium": "cloud", "optical_depth": 0}, SettingsError, "optical depth must be positive"),

@@ -5,8 +5,9 @@ import bpy
 import numpy as np
 import pytest
 
-from lb_lighting.bake import Options, read_scene
 from lb_lighting.job import Job
+from lb_lighting.options import Options
+from lb_lighting.reading import read_scene
 from lb_lighting.tasks import preview as task
 from lb_lighting.ui import preview
 from tests import scenery

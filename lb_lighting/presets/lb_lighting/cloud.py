@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Droplets of water about 10 um large absorb next to no visible light: Hu and Stamnes, An Accurate
 # Parameterization of the Radiative Properties of Water Clouds, Journal of Climate 6, 1993.
-# The optical depth stands for that of a cumulus, whatever the size of the scene.
+# The optical depth is that of a cumulus, at any size of the scene.
 import bpy
 
 settings = bpy.context.scene.lb_lighting

@@ -28,7 +28,7 @@ from .resample import (
 NODE, ROOT = 128, 4096  # voxels along the edge of the nodes of OpenVDB's trees, above the leaves
 MANY = 1 << 22  # root nodes up to which all are tried
 BRICK = 8  # voxels along the edge of the blocks that `Matter` consists of
-INVISIBLE = 1e-3  # optical depth, or share of the largest optical depth, that nobody sees
+INVISIBLE = 1e-3  # optical depth, or share of the largest optical depth, too small to see
 
 
 class SparseCells(Readable):
@@ -198,7 +198,7 @@ class Matter:
         The part outside adds at most INVISIBLE to the optical depth along any line parallel to an
         axis; or at most this share of the largest optical depth, if that is less than 1.
         """
-        # Find the optical depth that nobody sees.
+        # Find the optical depth that is too small to see.
         lengths = BRICK * np.linalg.norm(cells.index_to_world[:3, :3], axis=0)
         first, through, across = self.layers
         largest = max(lengths[a] * sums.max() for lines in across for a, sums in lines.items())

@@ -20,7 +20,7 @@ from .light_nodes import LightShader, or_else
 from .mesh_lights import Emitter, lamps_of
 from .receivers import Receivers
 
-PATTERNS = "Baked as evenly bright, without the pattern from their nodes: {}."
+PATTERNS = "Baked with even brightness, without the pattern from their nodes: {}."
 ROUGH = "These emissive meshes are approximated by a few lamps: {}."
 DROPPED = (
     "Only the brightest emissive meshes are baked; the others, with {:.0%} of their light, are "

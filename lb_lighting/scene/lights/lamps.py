@@ -293,7 +293,7 @@ def _environment(
     shader: LightShader, closure: Closure, notes: list[str]
 ) -> tuple[Floats, Floats] | None:
     """(pixels (height, width, 4), rotation (3, 3) from world directions to the image) of a
-    background, or None if it has no image, or one whose mean colour has to do."""
+    background, or None if it has no image, or one that only its mean colour can stand for."""
     socket, groups = resolve(closure.node.inputs["Color"], closure.groups)
     if not socket.is_output or socket.node.type != "TEX_ENVIRONMENT":
         return None

@@ -223,7 +223,7 @@ class Shader:
 
     def _circle(self, circle: Circle) -> LightingError:
         return self.error(
-            f"The links of '{self.owner.name}' lead in a circle at the node "
+            f"The links of '{self.owner.name}' form a loop at the node "
             f"'{circle.node.name}'; remove one of them."
         )
 

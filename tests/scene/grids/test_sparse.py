@@ -244,7 +244,7 @@ class TestValues:
 
     def test_a_grid_without_density_is_left_out(self, scene, tmp_path):
         nothing, leaves = add_volume(tmp_path, make_grid(-puff())), scenery.add_leaves()
-        with pytest.raises(SceneError, match="'density' of 'fog' has no values over 0 to light"):
+        with pytest.raises(SceneError, match="'density' of 'fog' has no values above 0; choose"):
             bake_light(nothing)
         outcome = bake_light(nothing, leaves)
         assert any(note.startswith("'fog' is left out. The grid") for note in outcome.notes)

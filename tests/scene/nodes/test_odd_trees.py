@@ -35,7 +35,7 @@ class TestCircles:
         material = make_material("leaf")
         connect(material, self.circle(material.node_tree, kind), "Surface")
         assert rendered(material, render) == pytest.approx(0)
-        with pytest.raises(SceneError, match="'leaf' lead in a circle at the node '"):
+        with pytest.raises(SceneError, match="'leaf' form a loop at the node '"):
             shine(material)
         assert not has_surface(material)
 
@@ -50,7 +50,7 @@ class TestCircles:
         material = make_material("leaf")
         node, inside = make_group(material.node_tree, "Shader")
         end_group(inside, self.circle(inside).outputs[0])
-        with pytest.raises(SceneError, match="'leaf' lead in a circle at the node 'Mix Shader"):
+        with pytest.raises(SceneError, match="'leaf' form a loop at the node 'Mix Shader"):
             leaf_optics(connect(material, node, "Surface"))
         assert not has_surface(material)
 
@@ -59,7 +59,7 @@ class TestCircles:
         node, inside = make_group(material.node_tree, "Float")
         end_group(inside, self.circle(inside, MATH).outputs[0])
         shader = emission(material.node_tree, strength=node.outputs[0])
-        with pytest.raises(SceneError, match="'leaf' lead in a circle at the node 'Math"):
+        with pytest.raises(SceneError, match="'leaf' form a loop at the node 'Math"):
             shine(connect(material, shader.node, "Surface"))
 
 
