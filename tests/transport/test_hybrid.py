@@ -460,7 +460,7 @@ def test_thick_voxels_are_divided():
 
 @pytest.mark.parametrize("sigma", [30.0, 1e6])
 def test_voxels_that_absorb_too_much_are_refused(sigma):
-    with pytest.raises(MediumError, match=r"absorbs so strongly .* raise the resolution \d+ times"):
+    with pytest.raises(MediumError, match=r"absorbs too strongly .* raise the resolution \d+ times"):
         solved(Medium(np.ones(SHAPE), 1.0, sigma, sigma))
 
 
