@@ -1,32 +1,40 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The physical model as `solve` offers it: units, furnaces, lights, bands, energy, and reports."""
 
-from functools import cache
-from math import inf
-
 import numpy as np
 import pytest
 
-from lb_lighting.errors import Cancelled, LightError, MediumError, SettingsError
-from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun, device, solve, trace
+from lb_lighting.errors import LightError
+from lb_lighting.transport import Medium, PointLight, Settings, Sky, Sun
 from lb_lighting.transport.uncollided import casting
-from tests.tracing import OPENCL, assert_same_light, name
+from tests.tracing import OPENCL, name
+from tests.transport.hybrid_media import (
+    INSIDE,
+    OUTSIDE,
+    SHAPE,
+    SKY,
+    SUN,
+    H,
+    cloud,
+    difference,
+    imbalance,
+    light_of,
+    solved,
+)
 
-SHAPE, H = (6, 7, 5), 0.5  # voxels, m
-SUN, SKY = Sun((0.3, 0.2, -0.93), 2.0), Sky(0.3)
-INSIDE, OUTSIDE = PointLight((1.4, 1.8, 1.3), 5.0), PointLight((-2.0, 1.0, 4.0), 90.0)
 EXACTLY = 1e-6  # tolerance of a solve that is to be compared with another
+
+
 SKY_BY_DIRECTION = Sky(lambda towards: np.maximum(towards[..., 2], 0))
 
+
 LIGHTS = {"sun": SUN, "sky": SKY, "dome": SKY_BY_DIRECTION, "inside": INSIDE, "outside": OUTSIDE}
+
+
 each_light = pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
+
+
 on_opencl = pytest.mark.parametrize("chosen", OPENCL, ids=name)
-
-
-def cloud(sigma_s=2.0, sigma_a=0.1, g=0.5, h=H, **extra):
-    """A third of the voxels void, the others half a free path thick on average."""
-    rng = np.random.default_rng(5)
-    return Medium(rng.random(SHAPE) * (rng.random(SHAPE) > 1 / 3), h, sigma_s, sigma_a, g, **extra)
 
 
 def walled(albedo, **extra):
@@ -34,26 +42,6 @@ def walled(albedo, **extra):
     rng = np.random.default_rng(6)
     occlusion = rng.choice((0, 0.4, 1), SHAPE, p=(0.8, 0.1, 0.1))
     return cloud(occlusion=occlusion, occlusion_albedo=albedo, **extra)
-
-
-def solved(medium, lights=(SUN,), chosen=None, progress=None, cancel=None, **settings):
-    return solve(medium, lights, Settings(**settings), chosen, progress, cancel)
-
-
-def light_of(field):
-    return (field.fluence + field.direct).astype(float)
-
-
-def difference(one, other):
-    """Relative L2."""
-    return float(np.linalg.norm(np.subtract(one, other, dtype=float)) / np.linalg.norm(other))
-
-
-def imbalance(field):
-    """(bands,): what is absorbed and what leaves, less what came, over all that came."""
-    energy = field.report.energy
-    came = energy["entered"] + energy.get("shifted", 0)
-    return (energy["absorbed"] + energy["left"].sum(axis=1) - came) / energy["entered"].sum()
 
 
 def test_it_is_the_default_model():
@@ -206,6 +194,8 @@ def test_bands_are_those_of_a_solve_of_each():
 
 
 ALBEDO, WALL = np.array([0.9, 0.5, 0.0]), np.array([0.8, 0.4, 0.0])
+
+
 # Of three bands of one extinction: g, what walls reflect (on the border, too), and the casts of a
 # light in all of them.
 SHARING = {
@@ -286,315 +276,3 @@ def test_a_dark_first_band_does_not_darken_the_others():
 def test_darkness_is_refused(lights):
     with pytest.raises(LightError, match="There is no light"):
         solved(cloud(), lights)
-
-
-SHIFTS = {
-    "pair": [[0, 0, 0], [0.8, 0, 0], [0, 0, 0]],
-    "chain": [[0, 0, 0], [0.6, 0, 0], [0, 0.5, 0]],
-    "cycle": [[0, 0.9, 0], [0.9, 0, 0], [0, 0, 0]],
-    "all": [[0, 0.3, 0.5], [0.5, 0, 0.5], [0.5, 0.7, 0]],
-}
-
-
-@cache
-def fluorescent(kind):
-    """Under light of band 0 alone; half of all collisions absorb."""
-    medium = cloud((1.0,) * 3, (1.0,) * 3, shift=SHIFTS.get(kind))
-    return solved(medium, [Sun(SUN.direction, (3.0, 0.0, 0.0))], tolerance=1e-5)
-
-
-@pytest.mark.parametrize("kind", SHIFTS)
-def test_shifted_energy_is_conserved_in_every_band(kind):
-    field = fluorescent(kind)
-    assert np.abs(imbalance(field)).max() < 1e-4
-    given_for_good = 1 - np.sum(SHIFTS[kind], axis=0)  # of what is absorbed, each band keeps that
-    total = field.report.energy["shifted"].sum()
-    assert abs(total) < 1e-6 * field.report.energy["entered"].sum() or given_for_good.min() > 0
-
-
-@pytest.mark.parametrize("kind", SHIFTS)
-def test_shifted_light_adds_up(kind):
-    """What a band radiates anew is what the others absorb, by the matrix."""
-    field, plain = fluorescent(kind), fluorescent("none")
-    density = field_absorbed(field) * np.asarray(SHIFTS[kind])
-    received = density.sum(axis=1) - density.sum(axis=0)
-    assert field.report.energy["shifted"] == pytest.approx(
-        received, abs=2e-4 * field.report.energy["entered"].sum()
-    )
-    assert np.all(field.fluence >= plain.fluence * (1 - 1e-6))
-
-
-def field_absorbed(field):
-    """(bands,) W absorbed, of light that its voxels' fluence tells."""
-    return (cloud().density * light_of(field)).sum(axis=(1, 2, 3)) * H**3
-
-
-def test_a_chain_of_shifts_reaches_its_end():
-    bright = [fluorescent("chain").fluence[band].sum() for band in range(3)]
-    assert bright[0] > bright[1] > bright[2] > 0
-    assert not fluorescent("pair").fluence[2].any()
-
-
-def test_more_shift_is_more_light():
-    def received(share):
-        medium = cloud((1.0,) * 2, (1.0,) * 2, shift=[[0, 0], [share, 0]])
-        return solved(medium, [Sun(SUN.direction, (3.0, 0.0))]).fluence[1].sum()
-
-    light = [received(share) for share in (0.0, 0.2, 0.4, 0.8)]
-    assert light[0] == 0
-    assert np.divide(light[2:], light[1]) == pytest.approx([2, 4], rel=1e-5)
-
-
-def test_a_glowing_medium_lights_itself():
-    glow = np.zeros(SHAPE)
-    glow[3, 3, 2] = 4.0
-    field = solved(cloud(emission=glow), [], tolerance=1e-5)
-    assert field.report.energy["entered"] == pytest.approx(4.0 * H**3, rel=1e-4)
-    assert np.unravel_index(light_of(field)[0].argmax(), SHAPE) == (3, 3, 2)
-    assert field.by_light.shape == (0, 1, *SHAPE)
-
-
-def test_all_of_a_lamp_inside_enters_and_part_of_one_outside():
-    assert solved(cloud(), [INSIDE]).report.energy["entered"] == pytest.approx(5.0, rel=1e-3)
-    assert 0.5 < solved(cloud(), [OUTSIDE]).report.energy["entered"][0] < 45
-
-
-def test_flux_leads_away_from_the_light():
-    thick = Medium(np.ones((8, 8, 8)), 1.0, 1.0, 0.01)
-    flux = solved(thick, [Sun((0, 0, -1), 1.0)]).flux[0]
-    assert flux[2, 2:-2, 2:-2, :4].mean() < 0
-    assert abs(flux[0].mean()) < 1e-5 * abs(flux[2]).mean()
-
-
-def screen(albedo):
-    """A wall in two halves of thin haze, under a vertical sun."""
-    occlusion = np.zeros((8, 8, 8))
-    occlusion[:, :, 3] = 1
-    return Medium(
-        np.full(occlusion.shape, 0.05), 1.0, 1.0, 0.0, occlusion=occlusion, occlusion_albedo=albedo
-    )
-
-
-def test_a_wall_throws_a_shadow_and_reflects_by_its_albedo():
-    down = Sun((0, 0, -1), 1.0)
-    black, white = (solved(screen(albedo), [down], tolerance=1e-5) for albedo in (0.0, 1.0))
-    for field in (black, white):
-        assert not light_of(field)[0, :, :, :3].any()
-        assert np.abs(imbalance(field)).max() < 1e-4
-    assert white.fluence[0, :, :, 4:].mean() > 5 * black.fluence[0, :, :, 4:].mean()
-    assert white.report.energy["absorbed"][0] < 1e-5 * white.report.energy["entered"][0]
-
-
-@pytest.mark.parametrize(
-    ("density", "albedo", "too_much"),
-    [(0.3, 0.5, 0.0), (0.3, 0.9, 0.0), (0.0, 0.5, 0.15), (0.0, 0.9, 0.27)],
-)
-def test_light_between_two_walls_is_that_of_photons(density, albedo, too_much):
-    """A corridor: what its walls reflect is not caught between them. In the void too much of it
-    gets to the other wall: no light grazes walls there (docs/theory/physics.md, "Where not to
-    trust it").
-    """
-    occlusion = np.zeros((8, 8, 8))
-    occlusion[[1, 6]] = 1
-    medium = Medium(
-        np.full(occlusion.shape, density), 1.0, 1, 0, occlusion=occlusion, occlusion_albedo=albedo
-    )
-    lights = [Sun((-0.5, 0.1, -1), 1.0)]
-    corridor = np.s_[0, 2:6]
-    lattice, photons = solved(medium, lights).fluence[corridor], trace(medium, lights, 100_000)
-    # The noise of the photons' mean is below 1 %.
-    expected = (1 + too_much) * photons.fluence[corridor].mean()
-    assert lattice.mean() == pytest.approx(expected, rel=0.08)
-
-
-CUBE = Medium(np.ones((8, 8, 8)), 0.125, 7.6, 0.4, 0.5)
-
-
-@cache
-def handed_over(transport_depth):
-    return solved(CUBE, handover=transport_depth, photons=400_000, tolerance=1e-4)
-
-
-@pytest.mark.parametrize(("transport_depth", "model_error"), [(0.0, 0.06), (2.0, 0.02)])
-def test_all_handovers_agree(transport_depth, model_error):
-    """With Monte Carlo alone, within the lattice's error and twice the expected (L2) noise.
-
-    The square of the noise is that of 10 or more independent ones: 4 times its mean is reached by
-    chance by at most one seed in 60,000.
-    """
-    field, exact = handed_over(transport_depth), handed_over(inf)
-    variance = exact.variance.sum() + (0 if field.variance is None else field.variance.sum())
-    noise = 2 * np.sqrt(variance) / np.linalg.norm(exact.fluence)
-    assert noise < 0.05
-    assert difference(field.fluence, exact.fluence) < model_error + noise
-
-
-@pytest.mark.parametrize("transport_depth", [0.0, 2.0, inf])
-def test_all_handovers_conserve_energy(transport_depth):
-    field = handed_over(transport_depth)
-    assert np.abs(imbalance(field)).max() < 1e-4
-    assert (field.variance is None) == (transport_depth == 0)
-    assert field.report.steps == 0 if transport_depth == inf else field.report.steps > 0
-
-
-def test_the_lattice_takes_over_at_a_later_collision():
-    first, third = (solved(CUBE, traced_collisions=n, photons=50_000) for n in (1, 3))
-    assert first.variance is None
-    assert third.variance is not None
-    assert difference(third.fluence, first.fluence) < 0.1
-
-
-def test_photons_alone_are_those_of_a_trace():
-    traced = trace(CUBE, [SUN], 400_000, seed=1)
-    assert_same_light(handed_over(inf), traced)
-    assert difference(handed_over(inf).direct, traced.direct) < 0.05
-
-
-def test_thick_voxels_are_divided():
-    """To voxels of at most 3 transport free paths: 4 becomes 2 in each of two pieces."""
-    thick = Medium(np.ones((4, 4, 4)), 1.0, 4.0, 0.0)
-    divided, explicit = solved(thick), solved(thick, divide=2)
-    np.testing.assert_array_equal(divided.fluence, explicit.fluence)
-    assert difference(solved(thick, divide=1).fluence, divided.fluence) > 1e-3
-
-
-@pytest.mark.parametrize("sigma", [30.0, 1e6])
-def test_voxels_that_absorb_too_much_are_refused(sigma):
-    with pytest.raises(MediumError, match=r"absorbs too strongly .* raise the resolution \d+ times"):
-        solved(Medium(np.ones(SHAPE), 1.0, sigma, sigma))
-
-
-def test_steps_that_run_out_are_reported():
-    field = solved(cloud(20, 0.0), most_steps=16, divide=1)
-    assert field.report.steps == 16
-    assert not field.report.converged
-    assert field.report.residual > 0.01
-
-
-@pytest.mark.parametrize("tolerance", [0.1, 1e-2, 1e-3])
-def test_the_tolerance_is_met(tolerance):
-    medium = Medium(np.ones((8, 8, 8)), 1.0, 1.0, 0.0)
-    field, exact = (solved(medium, tolerance=t) for t in (tolerance, 1e-6))
-    assert field.report.converged
-    assert field.report.residual <= tolerance
-    assert difference(field.fluence, exact.fluence) < tolerance
-    assert field.report.steps < exact.report.steps
-
-
-@pytest.mark.parametrize("transport_depth", [0.0, 2.0])
-def test_progress_never_falls_and_reaches_one(transport_depth):
-    heard = []
-    solved(
-        cloud((2.0, 1.0)),
-        progress=lambda stage, share: heard.append(share),
-        handover=transport_depth,
-        photons=10_000,
-    )
-    assert heard == sorted(heard)
-    assert heard[0] >= 0
-    assert heard[-1] == pytest.approx(1, abs=1e-12)
-
-
-@pytest.mark.parametrize("calls", [0, 1, 5])
-def test_cancel_ends_the_solve_at_the_next_look(calls):
-    looked = []
-
-    def cancel():
-        looked.append(1)
-        return len(looked) > calls
-
-    with pytest.raises(Cancelled):
-        solved(Medium(np.ones((8, 8, 8)), 1.0, 1.0, 0.0), cancel=cancel, tolerance=1e-5)
-    assert len(looked) == calls + 1
-
-
-def test_the_report_says_what_ran():
-    report = solved(cloud((2.0, 1.0)), chosen="NumPy").report
-    assert report.model == "physical"
-    assert report.device == device.numpy_device().label
-    assert report.runs == 2
-    assert report.bytes > 0
-    assert set(report.seconds) == {"prepare", "direct", "solve"}
-    assert report.converged
-    assert 0 < report.residual <= 1e-2
-    shapes = {where: np.shape(power) for where, power in report.energy.items()}
-    assert shapes == {"entered": (2,), "absorbed": (2,), "left": (2, 6)}
-
-
-def test_a_suns_own_shadow_density_replaces_the_mediums():
-    medium = Medium(np.full((6, 6, 6), 0.5), H, 1.0, 1.0)
-    clear = Sun((0, 0, -1), 1.0, shadow_density=np.zeros(medium.shape))
-    assert solved(medium, [clear]).direct == pytest.approx(1.0, rel=1e-5)
-    denser = Sun((0, 0, -1), 1.0, shadow_density=medium.density * 2)
-    twice = solved(medium.altered(density=medium.density * 2), [Sun((0, 0, -1), 1.0)])
-    assert solved(medium, [denser]).direct == pytest.approx(twice.direct, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"handover": -1.0},
-        {"handover": float("nan")},
-        {"tolerance": 0.0},
-        {"tolerance": 1.0},
-        {"most_steps": 0},
-        {"photons": 0},
-        {"divide": 65},
-        {"traced_collisions": 0},
-        {"rays": 0.0},
-        {"rays": 17.0},
-    ],
-    ids=str,
-)
-def test_bad_settings_are_refused(settings):
-    with pytest.raises(SettingsError):
-        Settings(**settings)
-
-
-def test_the_residual_is_told_while_light_settles():
-    told = []
-    medium = Medium(np.ones((12, 12, 12)), 1.0, 0.5, 0.01)
-    settings = Settings(tolerance=1e-3)
-    field = solve(
-        medium,
-        [Sun((0, 0, -1), 1.0)],
-        settings,
-        "NumPy",
-        progress=lambda stage, fraction: told.append((stage, fraction)),
-        residual=lambda error: told.append(error),
-    )
-    errors = [error for error in told if isinstance(error, float)]
-    assert errors[0] == 1
-    assert all(np.diff(errors) <= 0)
-    assert field.report.residual <= settings.tolerance < errors[-1] < 0.2
-    assert all(told[told.index(error) + 1][0] == "solve" for error in errors)
-
-
-def test_the_papers_model_has_no_residual_to_tell():
-    told = []
-    medium = Medium(np.ones((6, 6, 6)), 1.0, 0.5, 0.01)
-    solve(medium, [Sun((0, 0, -1), 1.0)], Settings("paper"), "NumPy", residual=told.append)
-    assert told == []
-
-
-@pytest.mark.parametrize("handover", [0.0, 2.0])
-def test_light_of_small_angles_is_told_apart(handover):
-    """It is what a medium of less extinction would let pass, over what this one does; through
-    columns of constant depth both are known."""
-    g, sigma_s, n = 0.8, 6.0, 12
-    medium = Medium(np.ones((n,) * 3), 1 / n, sigma_s, 0.0, g)
-    settings = Settings(handover=handover, photons=20_000)
-    field = solve(medium, [Sun((0, 0, -1), 2.0), Sky(lambda d: 1.0 + d[..., 2])], settings)
-    edges = np.linspace(1, 0, n + 1)  # m below the face, from the lowest voxel up
-    passes = [
-        2.0 * -np.diff(np.exp(-sigma * edges)) / (sigma / n) * -1
-        for sigma in (sigma_s, (1 - g**2) * sigma_s)
-    ]
-    expected = np.abs(passes[1]) - np.abs(passes[0])
-    np.testing.assert_allclose(field.forward[0, 0, 4, 5], expected, rtol=1e-4)
-    np.testing.assert_allclose(field.by_light[0, 0, 4, 5], np.abs(passes[0]), rtol=1e-4)
-
-
-def test_without_a_forward_peak_there_is_no_such_light():
-    medium = Medium(np.ones((8,) * 3), 1.0, 1.0, 0.1, -0.3)
-    assert not solve(medium, [Sun((0, 0, -1), 2.0)]).forward.any()
