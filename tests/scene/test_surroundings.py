@@ -44,7 +44,7 @@ def test_a_bake_names_the_floor_and_no_selected_object(scene, tmp_path):
     add_box("floor")
     fog, leaves = scenery.add_fog(tmp_path), scenery.add_leaves()
     (note,) = [n for n in bake_light(fog, leaves).notes if "Not selected" in n]
-    assert "it: 'floor'; select" in note
+    assert "the selection: 'floor'; select" in note
     again = bake_light(fog, leaves, bpy.data.objects["floor"])  # nor the baked volume
     assert not [n for n in again.notes if "Not selected" in n]
 

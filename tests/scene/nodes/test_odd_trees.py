@@ -43,7 +43,7 @@ class TestCircles:
         material = surface("ShaderNodeEmission")
         self.circle(material.node_tree, MATH)
         assert rendered(material, render) == pytest.approx(0)
-        with pytest.raises(SceneError, match="in a circle at the node 'Math"):
+        with pytest.raises(SceneError, match="form a loop at the node 'Math"):
             shine(material)
 
     def test_inside_a_group(self):
