@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The documentation names what there is: public names and files. `make docs` checks its links."""
+"""The documentation names what there is: public names, files and messages.
 
+`make docs` checks its links.
+"""
+
+import ast
 import re
 from pathlib import Path
 
@@ -26,3 +30,23 @@ def test_files_that_a_page_names_exist(page):
     names = [name for name in named if not any(example in name for example in EXAMPLES)]
     missing = [n for n in names if not any((ROOT / folder / n).exists() for folder in FOLDERS)]
     assert not missing
+
+
+def test_messages_that_the_page_on_troubleshooting_quotes_exist():
+    page = (ROOT / "docs" / "user" / "troubleshooting.md").read_text("utf-8")
+    quoted = re.findall(r"^\| (.*) \| .* \|$", page, re.MULTILINE)
+    parts = {part.strip(" :") for row in quoted for part in re.split("[…;]", row)}
+    parts -= {"", "message"}
+    sentences = "\n".join(_sentences())
+    assert len(parts) > 50
+    assert sorted(part for part in parts if part not in sentences) == []
+
+
+def _sentences():
+    """Yield each string of the program, with … for what is put into it."""
+    for path in sorted((ROOT / "lb_lighting").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(v.value if isinstance(v, ast.Constant) else "…" for v in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value

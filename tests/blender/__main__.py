@@ -16,7 +16,7 @@ REQUIREMENTS = Path(blender.__file__).with_name("requirements.txt")
 
 # Run by a shell that stands in the checkout, wherever that is mounted.
 FRESH = 'BLENDER_USER_RESOURCES=$PWD/build/blender/user LIBGL_ALWAYS_SOFTWARE=1 exec "$@"'
-DISPLAY = ["xvfb-run", "-a", "-s", "-screen 0 1600x1000x24 +extension GLX"]
+DISPLAY = ["xvfb-run", "-a", "-s", "-screen 0 1600x1200x24 +extension GLX"]
 
 
 def install_pytest():
