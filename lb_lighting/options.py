@@ -231,8 +231,8 @@ class Options:
     model: str = _option("Model", "How the light is computed", "physical", choices=MODELS)
     quality: str = _option(
         "Quality",
-        "Error target, on average over the voxels. LB Lighting picks the cheapest settings that "
-        "meet it",
+        "Error target: how wrong the light may be on average, where a picture shows it. "
+        "LB Lighting picks the cheapest settings that meet it",
         "draft",
         choices=QUALITIES,
     )

@@ -40,16 +40,16 @@ def solve(
     inflow = boundary_inflow(lights, medium.bands)
     with clock("prepare"):
         lattice = backend_of(device).paper_lattice(medium, settings.keep_absorbed, settings.kernel)
-    runs = _distinct_runs(medium, inflow)
+    distinct = _distinct_bands(medium, inflow)
     steps = settings.steps or 2 * max(medium.shape)
     light = np.empty((medium.bands, *medium.shape), np.float32)
     flux = np.empty((medium.bands, 3, *medium.shape), np.float32)
     residual = 0.0
-    for number, (band, multiples) in enumerate(runs):
+    for number, (band, multiples) in enumerate(distinct):
         with clock("solve"):
             omega = collision_matrix(medium.sigma_s[band], medium.sigma_a[band], medium.g[band])
             lattice.start(inflow[band], omega)
-            _advance(lattice, steps, number, len(runs), monitor)
+            _advance(lattice, steps, number, len(distinct), monitor)
         with clock("read"):
             change = _read(lattice, light[band], flux[band])
             residual = max(residual, change)
@@ -64,7 +64,7 @@ def solve(
         residual=residual,
         seconds=clock.seconds,
         bytes=needed,
-        runs=len(runs),
+        runs=len(distinct),
     )
     return Field(medium.domain, light, np.zeros_like(light), flux, report)
 
@@ -134,14 +134,14 @@ def _refuse_unfit(medium: Medium) -> None:
         )
 
 
-def _distinct_runs(medium: Medium, inflow: Floats) -> list[tuple[int, dict[int, float]]]:
+def _distinct_bands(medium: Medium, inflow: Floats) -> list[tuple[int, dict[int, float]]]:
     """[(band to solve, {band: its multiple})]: bands that differ by a factor are solved once.
 
-    The lattice is linear in the light, so in a grey medium a coloured sun needs one run.
+    The lattice is linear in the light, so in a grey medium a coloured sun needs one solution.
     """
-    runs: list[tuple[int, dict[int, float]]] = []
+    distinct: list[tuple[int, dict[int, float]]] = []
     for band in range(medium.bands):
-        for solved, multiples in runs:
+        for solved, multiples in distinct:
             factor = _factor(inflow[band], inflow[solved])
             if factor is not None and all(
                 values[band] == values[solved]
@@ -150,8 +150,8 @@ def _distinct_runs(medium: Medium, inflow: Floats) -> list[tuple[int, dict[int, 
                 multiples[band] = factor
                 break
         else:
-            runs.append((band, {band: 1.0}))
-    return runs
+            distinct.append((band, {band: 1.0}))
+    return distinct
 
 
 def _factor(inflow: Floats, base: Floats) -> float | None:
@@ -162,11 +162,11 @@ def _factor(inflow: Floats, base: Floats) -> float | None:
     return factor if np.allclose(inflow, factor * base, rtol=1e-12, atol=0) else None
 
 
-def _advance(lattice: PaperLattice, steps: int, run: int, runs: int, monitor: Monitor) -> None:
+def _advance(lattice: PaperLattice, steps: int, number: int, count: int, monitor: Monitor) -> None:
     for done in range(0, steps, _REPORT_EVERY):
         monitor.check()
         lattice.advance(min(_REPORT_EVERY, steps - done))
-        monitor.report("solve", (run + min(1, (done + _REPORT_EVERY) / steps)) / runs)
+        monitor.report("solve", (number + min(1, (done + _REPORT_EVERY) / steps)) / count)
 
 
 def _read(lattice: PaperLattice, fluence: Floats, flux: Floats) -> float:
