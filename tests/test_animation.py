@@ -30,7 +30,7 @@ def key(owner, path, **values):
         owner.keyframe_insert(path, frame=int(name.removeprefix("frame_")))
 
 
-def gathered(*objects, frame):
+def read_task(*objects, frame):
     return read_scene(bpy.context, objects, Options.of(bpy.context.scene), frame=frame)
 
 
@@ -62,7 +62,7 @@ def test_a_source_that_a_bake_hid_is_read_where_each_frame_has_it(scene, tmp_pat
     hide_source(fog)
     scene.frame_set(1)
     for frame in (3, 1, 2):
-        place = gathered(fog, frame=frame).sources[0].place
+        place = read_task(fog, frame=frame).sources[0].place
         assert place[0, 3] == pytest.approx(2 * frame - 2)
     assert fog.hide_viewport
     assert scene.frame_current == 1
@@ -99,10 +99,10 @@ def test_whatever_is_hidden_changes_with_the_frame(scene, tmp_path, make):
     fog = scenery.add_fog(tmp_path)
     what, read = make(fog)
     sources = [fog, what] if make == keyed_modifier else [fog]
-    shown = {frame: read(gathered(*sources, frame=frame)) for frame in (1, 3)}
+    shown = {frame: read(read_task(*sources, frame=frame)) for frame in (1, 3)}
     hide_source(what)
     what.hide_render = False
-    hidden = {frame: read(gathered(*sources, frame=frame)) for frame in (3, 1)}
+    hidden = {frame: read(read_task(*sources, frame=frame)) for frame in (3, 1)}
     assert hidden == pytest.approx(shown)
     assert abs(hidden[3] - hidden[1]) > 0.5
 
@@ -148,7 +148,7 @@ def test_a_moving_source_is_baked_and_shown_where_it_is(scene, tmp_path):
         scene.frame_set(frame)
         box = ob.evaluated_get(bpy.context.evaluated_depsgraph_get()).bound_box
         middle = np.mean([ob.matrix_world @ Vector(corner) for corner in box], axis=0)
-        place = gathered(fog, frame=frame).sources[0].place[:3, 3]
+        place = read_task(fog, frame=frame).sources[0].place[:3, 3]
         assert middle == pytest.approx(place, abs=0.01)
 
 

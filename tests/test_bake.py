@@ -40,7 +40,7 @@ class TestVolume:
         assert sum(sigma) * longest == pytest.approx(10)
         assert sigma[0] / sum(sigma) == pytest.approx(0.99)
 
-    def test_a_missing_material_is_told(self, scene, tmp_path):
+    def test_a_missing_material_is_noted(self, scene, tmp_path):
         outcome = bake_light(scenery.add_fog(tmp_path, material=False))
         assert "'fog' has no volume material; the preset 'cloud' was used." in outcome.notes
 
@@ -78,13 +78,15 @@ class TestVolume:
         assert np.abs(center - ob.location).max() < 0.1 * domain.voxel_size
         assert baked().matrix_world.translation[:] == (0, 0, 0)
 
-    def test_the_residual_is_told_while_it_is_solved(self, scene, tmp_path):
-        ob, told = scenery.add_fog(tmp_path), []
+    def test_the_residual_is_reported_while_solving(self, scene, tmp_path):
+        ob, stages = scenery.add_fog(tmp_path), []
         ob.data.materials[0] = scenery.volume_material(60.0, (0.99, 0.99, 0.99))
         task = read_scene(bpy.context, [ob], Options.of(scene))
-        lit = task.run(lambda **said: told.append(said["stage"]), tmp_path)
-        assert told[:2] == ["Filling voxels", "Solving"]
-        residuals = [stage[len("Solving (residual ") : -2] for stage in told if "residual" in stage]
+        lit = task.run(lambda **said: stages.append(said["stage"]), tmp_path)
+        assert stages[:2] == ["Filling voxels", "Solving"]
+        residuals = [
+            stage[len("Solving (residual ") : -2] for stage in stages if "residual" in stage
+        ]
         assert np.all(np.diff(np.array(residuals, float)) <= 0)
         assert 100 * lit.report.residual < float(residuals[-1]) < 100
 
@@ -101,14 +103,14 @@ class TestVolume:
         assert outcome.plan is None
         assert outcome.field.report.steps == 0
 
-    def test_metadata_tells_the_settings(self, scene, tmp_path):
-        told = read_metadata(bake_light(scenery.add_fog(tmp_path), strength=0.5).path)
-        assert told["resolution"] == 16
-        assert told["strength"] == 0.5
-        assert told["model"] == "physical"
-        assert told["device"] == "NumPy (no OpenCL)"
+    def test_metadata_holds_the_settings(self, scene, tmp_path):
+        metadata = read_metadata(bake_light(scenery.add_fog(tmp_path), strength=0.5).path)
+        assert metadata["resolution"] == 16
+        assert metadata["strength"] == 0.5
+        assert metadata["model"] == "physical"
+        assert metadata["device"] == "NumPy (no OpenCL)"
 
-    def test_each_lamp_has_its_own_unscattered_light(self, scene, tmp_path):
+    def test_each_lamp_has_its_own_uncollided_light(self, scene, tmp_path):
         lamp = scenery.link("point", bpy.data.lights.new("point", "POINT"))
         lamp.location = (0, 0, 5)
         bpy.data.lights["point"].energy = 40 * np.pi * 25  # 10 W/m^2 in the middle of a void
@@ -140,7 +142,7 @@ class TestVolume:
         assert not names & moments
         assert not any("Directional scattering took" in line for line in left.report_lines)
         bake_light(ob, quality="preview", progress=progress)
-        assert stages == sorted(stages, key=lambda told: told[0])
+        assert stages == sorted(stages, key=lambda stage: stage[0])
         assert "Directional scattering" in {stage for _, stage in stages}
 
     @pytest.mark.parametrize(

@@ -165,7 +165,7 @@ class TestBadInput:
         files = set(Path(bpy.context.scene.lb_lighting.folder).iterdir())
         stages = []
         with pytest.raises(error) as caught:
-            bake_light(*objects, progress=lambda *told: stages.append(told[0]), **changes)
+            bake_light(*objects, progress=lambda *status: stages.append(status[0]), **changes)
         assert not any(stage.startswith("Solving") for stage in stages)
         assert sentence in str(caught.value)
         assert "\n" not in str(caught.value)

@@ -86,8 +86,12 @@ def test_options_of_the_command_come_before_the_scenes(blend):
     reopen(blend)
     (ob,) = baked_volumes(bpy.context.scene)
     assert not bpy.data.objects["fog"].hide_render
-    told = read_metadata(bpy.path.abspath(ob.data.filepath))
-    assert (told["resolution"], told["mode"], told["keep_absorbed"]) == (12, "ADD", True)
+    metadata = read_metadata(bpy.path.abspath(ob.data.filepath))
+    assert (metadata["resolution"], metadata["mode"], metadata["keep_absorbed"]) == (
+        12,
+        "ADD",
+        True,
+    )
     assert bpy.context.scene.lb_lighting.resolution == 16
 
 
@@ -152,12 +156,12 @@ def test_devices(capsys):
     assert names == [line.rsplit(",", 1)[0] for line in job.device_lines()]
 
 
-def test_without_opencl_it_is_told_how_to_get_faster(blend, monkeypatch, capsys):
+def test_without_opencl_a_note_says_how_to_get_faster(blend, monkeypatch, capsys):
     monkeypatch.setenv("OCL_ICD_VENDORS", "/nowhere")
     bpy.context.scene.lb_lighting.device = ""
     assert cli.main(["bake", "--objects", "fog"], opens_file=False) == 0
-    told = capsys.readouterr().out
-    assert "Solved with NumPy; an OpenCL driver for your processor or graphics card" in told
+    printed = capsys.readouterr().out
+    assert "Solved with NumPy; an OpenCL driver for your processor or graphics card" in printed
 
 
 def break_nothing(_blend):

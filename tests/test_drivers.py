@@ -24,7 +24,7 @@ from tests.tracing import OPENCL, name
 MEDIUM = Medium(np.ones((4, 5, 6)), 0.5, 0.5, 0.1)
 SUN = Sun((0.1, 0.2, -1), 2.0)
 UNSCATTERED = Settings(scattering="single")  # by few programs, which are soon built
-ENDS = {  # what a driver does as it is loaded: (its code, what is told of it)
+ENDS = {  # what a driver does as it is loaded: (its code, what is reported of it)
     "aborts": ("abort();", "ended the solver's process (signal 6)"),
     "crashes": ("*(volatile int *)0 = 0;", "ended the solver's process (signal 11)"),
     "exits": ("_exit(0);", "ended the solver's process (code 0)"),
@@ -74,13 +74,13 @@ def solved(label=None, settings=UNSCATTERED):
 @compiles
 @pytest.mark.parametrize("how", ENDS)
 def test_a_driver_that_does_not_load_leaves_numpy(driver, processes, how):
-    code, told = ENDS[how]
+    code, reason = ENDS[how]
     driver(code)
     found = solved()
     assert found.report.device == "NumPy (no OpenCL)"
     assert np.array_equal(found.direct, solved("NumPy").direct)
     why = job._learned[device.WITHOUT_OPENCL]
-    assert why.startswith(f"The OpenCL drivers of this machine {told}; update or remove them,")
+    assert why.startswith(f"The OpenCL drivers of this machine {reason}; update or remove them,")
     log = Path(why.rsplit(" ", 1)[1].removesuffix("."))
     assert "the driver speaks" in log.read_text()
     assert workers(processes) == 3

@@ -66,14 +66,14 @@ def test_an_extensions_classes_are_read_under_their_plain_names(tmp_path, monkey
 
 
 def test_same_light_as_in_this_process(medium):
-    told = []
+    reports = []
     task = Solve(medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy")
-    found = Job(task).wait(lambda *progress: told.append(progress))
+    found = Job(task).wait(lambda *progress: reports.append(progress))
     expected = solve(medium, [SUN, Sky(0.1)], Settings("paper"), "NumPy")
     assert np.array_equal(found.fluence, expected.fluence)
     assert found.domain == expected.domain
-    assert {stage for stage, _fraction in told} - {"Starting"} == {"solve"}
-    fractions = [fraction for _stage, fraction in told]
+    assert {stage for stage, _fraction in reports} - {"Starting"} == {"solve"}
+    fractions = [fraction for _stage, fraction in reports]
     assert fractions == sorted(fractions)
 
 
@@ -235,8 +235,8 @@ def test_a_temporary_folder_that_takes_nothing_is_one_sentence(monkeypatch, tmp_
         Job(Idle())
 
 
-def told(running):
-    """Wait for the first message; what it told."""
+def first_report(running):
+    """Wait for the first message; what it first_report."""
     while not running.said:
         running.update(wait=0.1)
     return running.said
@@ -245,7 +245,7 @@ def told(running):
 def test_cancel_is_prompt_and_leaves_nothing(processes, tmp_path):
     scrap, folder = tmp_path / "half.vdb", None
     running = Job(Idle((scrap,)))
-    assert told(running) == {"stage": "idle", "fraction": 0.5}
+    assert first_report(running) == {"stage": "idle", "fraction": 0.5}
     assert running.seconds_left > 0
     scrap.write_text("half")
     folder = running.folder.name

@@ -36,12 +36,12 @@ def test_drafts_scatter_by_direction_as_often_as_there_is_time_for(
 
 @pytest.mark.parametrize(("error", "seconds"), [(0.14, 5.0), (0.08, 60.0)])
 def test_what_a_plan_cannot_keep_to_is_a_note(error, seconds, scene, tmp_path, monkeypatch):
-    told = "It will not be as it was asked for."
-    planned = Plan(Settings(), "draft", 0.1, error, seconds, 1, "here", ["a", told], 0.1, 20.0)
+    warning = "It will not be as it was asked for."
+    planned = Plan(Settings(), "draft", 0.1, error, seconds, 1, "here", ["a", warning], 0.1, 20.0)
     light = task(tmp_path, "draft")
     monkeypatch.setattr(type(light), "plan", lambda *_arguments: planned)
     light._settings(light.problem(), lambda **_told: None)
-    assert light.medium_choice.notes[-1] == told
+    assert light.medium_choice.notes[-1] == warning
 
 
 def test_a_plan_that_keeps_its_word_is_no_note(scene, tmp_path):
@@ -54,7 +54,7 @@ def test_a_plan_that_keeps_its_word_is_no_note(scene, tmp_path):
 
 
 @pytest.mark.parametrize("leaves", [20, 100])
-def test_small_plants_are_not_told_absurd_errors(leaves, scene, tmp_path):
+def test_small_plants_get_no_absurd_errors(leaves, scene, tmp_path):
     """Of all light that they show; scattered light alone is a few per cent of it."""
     ob = scenery.add_leaves(count=leaves)
     options = Options.of(bpy.context.scene, quality="draft", resolution=24)

@@ -349,8 +349,8 @@ def test_two_processes_bake_the_same_frames(scene, fog, tmp_path):
         )
         for n in range(2)
     ]
-    told = [process.communicate()[0] for process in both]
-    assert [process.returncode for process in both] == [0, 0], told
+    outputs = [process.communicate()[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0], outputs
     assert list(frames()) == [1, 2, 3, 4]
     assert all(read_whole(path) for path in frames().values())
     densities = {read_grid(path, DENSITY_GRID)[0].sum() for path in frames().values()}

@@ -52,7 +52,7 @@ def frames():
     return {path.name: path.stat().st_mtime_ns for path in sorted(folder.iterdir())}
 
 
-def test_missing_folder_is_told_as_for_a_single_bake(scene, fog, tmp_path):
+def test_a_missing_folder_is_reported_as_for_a_single_bake(scene, fog, tmp_path):
     nowhere = tmp_path / "nowhere"
     with pytest.raises(OutputError, match="nowhere does not exist; choose another or create it"):
         bake_frames(fog, folder=str(nowhere))
@@ -75,16 +75,16 @@ def test_frames_are_planned_once(scene, fog):
 
 
 def test_each_frame_has_its_own_light(scene, fog):
-    told = []
-    outcome = bake_frames(fog, progress=lambda *status: told.append(status))
+    reports = []
+    outcome = bake_frames(fog, progress=lambda *status: reports.append(status))
     assert list(frames()) == ["frame_0001.vdb", "frame_0002.vdb", "frame_0003.vdb"]
     densities = [
         read_grid(outcome.path.with_name(name), DENSITY_GRID)[0].max() for name in frames()
     ]
     assert np.divide(densities, densities[0]) == pytest.approx(FRAMES, rel=1e-5)
     assert scene.frame_current == 2
-    assert next(stage.split(":")[0] for stage, _fraction in told) == "Frame 1"
-    fractions = [fraction for _stage, fraction in told]
+    assert next(stage.split(":")[0] for stage, _fraction in reports) == "Frame 1"
+    fractions = [fraction for _stage, fraction in reports]
     assert fractions == sorted(fractions)
 
 
@@ -169,16 +169,16 @@ def test_frames_of_one_material_are_gathered_alike(scene, fog):
     for name, value in {"Anisotropy": 0.85, "Density": 40.0, "Color": (1, 1, 1, 1)}.items():
         inputs[name].default_value = value
 
-    def gathered(**changes):
+    def iterations(**changes):
         bake_frames(fog, quality="preview", **changes)
         folder = baked_path(baked()).parent
         return {name: read_metadata(folder / name)["gathered"] for name in frames()}
 
     first, last = (f"frame_{n:04}.vdb" for n in (1, 3))
-    assert gathered(first=3, last=3) == {last: 0}
-    assert gathered(first=1, last=1, overwrite=True) == {first: 1}
-    assert gathered(first=3, last=3) == {first: 1, last: 1}
-    assert set(gathered(overwrite=True).values()) == {1}
+    assert iterations(first=3, last=3) == {last: 0}
+    assert iterations(first=1, last=1, overwrite=True) == {first: 1}
+    assert iterations(first=3, last=3) == {first: 1, last: 1}
+    assert set(iterations(overwrite=True).values()) == {1}
 
 
 def test_frames_show_all_light_alike(scene, fog):

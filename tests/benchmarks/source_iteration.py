@@ -30,7 +30,7 @@ def row(case, wanted):
     settings = Settings(tolerance=1e-3)
     solve(medium, lights, settings)  # which makes programs ready
     field, solving = timed(lambda: solve(medium, lights, settings))
-    foretold = seconds(medium, lights)
+    predicted = seconds(medium, lights)
 
     def error(fluence):
         difference = fluence + field.direct[0] - wanted.light
@@ -43,7 +43,7 @@ def row(case, wanted):
         found[f"x {times}"] = error(np.sqrt(4 * np.pi) * scattered.moments[0, 0] + lobes)
         if times == 4:
             found["seconds x 4"] = taken / solving
-            found["foretold / taken"] = foretold / taken
+            found["predicted / taken"] = predicted / taken
     return found
 
 

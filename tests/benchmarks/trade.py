@@ -152,10 +152,10 @@ def planned(cases):
                 "error": numbers["error"],
                 "error +-": numbers["error +-"],
                 "met": numbers["error"] <= target,
-                "told": plan.meets_target,
+                "reported": plan.meets_target,
                 "planning": plan.spent,
                 "seconds": seconds,
-                "foretold": plan.seconds / seconds,
+                "predicted": plan.seconds / seconds,
             }
 
 
@@ -174,14 +174,14 @@ def summary(rows):
             some = [row for row in chosen if row["quality"] == quality and "error" in row]
             if not some:
                 continue
-            within = [0.5 <= row["foretold"] <= 2 for row in some]
+            within = [0.5 <= row["predicted"] <= 2 for row in some]
             yield {
                 "media": group,
                 "quality": quality,
                 "count": len(some),
                 "not tried": sum(r["quality"] == quality and "not tried" in r for r in chosen),
                 "met": sum(row["met"] for row in some),
-                "told": sum(not row["met"] and not row["told"] for row in some),
+                "reported": sum(not row["met"] and not row["reported"] for row in some),
                 "worst error": max(row["error"] for row in some),
                 "worst in": max(some, key=lambda row: row["error"])["case"],
                 "time within 2x": float(np.mean(within)),

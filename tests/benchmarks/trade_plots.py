@@ -101,11 +101,11 @@ def kept():
             label=quality,
         )
         errors.axhline(some[0]["target"], lw=0.8, ls="--", color=color)
-        foretold = [row["foretold"] * row["seconds"] for row in some]
-        seconds.plot(foretold, [row["seconds"] for row in some], "o", ms=3, color=color)
+        predicted = [row["predicted"] * row["seconds"] for row in some]
+        seconds.plot(predicted, [row["seconds"] for row in some], "o", ms=3, color=color)
     for panel, name, ends in ((errors, "error", (LEAST, 0.4)), (seconds, "s", (0.03, 100))):
         panel.plot(ends, ends, lw=0.8, color="#444444")
-        panel.set(xscale="log", yscale="log", xlabel=f"{name}, foretold", ylabel=f"{name}, found")
+        panel.set(xscale="log", yscale="log", xlabel=f"{name}, predicted", ylabel=f"{name}, found")
         panel.grid(lw=0.4, color="#e4e4e4")
     for factor in (0.5, 2):
         seconds.plot((0.03, 100), (0.03 * factor, 100 * factor), lw=0.6, ls="--", color="#444444")

@@ -89,9 +89,9 @@ def test_fire(lb, tmp_path):
     assert flame.max() > 0.5
     center = center_of_mass(flame, domain.centers())
     assert np.abs(center - SOURCE)[:2].max() < domain.voxel_size
-    told = share(lb, ob, domain, "cloud")[1]
-    told_of_fire = "The fire of 'Cube' emits no light; give its material a Blackbody Intensity."
-    assert told == [told_of_fire]
+    notes = share(lb, ob, domain, "cloud")[1]
+    note_on_fire = "The fire of 'Cube' emits no light; give its material a Blackbody Intensity."
+    assert notes == [note_on_fire]
     with pytest.raises(
         part(lb, "errors").SceneError,
         match=r"no grid 'smoke'; choose one of: density, flame, temperature\.$",

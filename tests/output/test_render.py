@@ -149,7 +149,7 @@ BEAMS = {
 }
 
 
-def unscattered(beam):
+def uncollided(beam):
     """(3, nx, ny, nz): the grid of an unattenuated light, W/(m^2 sr) for a sun, else W/sr."""
     if isinstance(beam, Sun):
         light = np.ones(BOX.shape)
@@ -190,7 +190,7 @@ def thin_box(path, beams=(), light=0.0, down=0.0, others=None):
     with others {name of a grid: (3,)}."""
     density = np.zeros(BOX.shape, np.float32)
     density[4:20, 4:20, 4:20] = 1
-    grids = {direct_grid(n): unscattered(beam) for n, beam in enumerate(beams, 1)}
+    grids = {direct_grid(n): uncollided(beam) for n, beam in enumerate(beams, 1)}
     for name, values in {flux_grid("Z"): np.negative(down), **(others or {})}.items():
         grids[name] = even(values)
     write_vdb(path, BOX, density, even(light), {}, grids)

@@ -259,7 +259,7 @@ def test_a_note_names_some_of_many(scene):
 
 
 @pytest.mark.parametrize("selected", [False, True])
-def test_what_others_instance_is_told_of(scene, selected):
+def test_a_note_names_what_others_instance(scene, selected):
     """A collection instance; a selected one has a note of its own."""
     ob = scenery.add_leaves(count=20)
     crown = bpy.data.collections.new("crown")

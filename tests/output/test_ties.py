@@ -260,7 +260,7 @@ class TestCopies:
         assert path.exists()
         assert hidden(fog) == [True]
 
-    def test_light_of_a_file_that_was_made_before_copies_were_told_apart(self, fog, baked):
+    def test_light_of_a_file_that_is_older_than_the_marking_of_copies(self, fog, baked):
         for ob in (fog, baked):
             del ob["lb_lighting_identity"]
         ties.mend()

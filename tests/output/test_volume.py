@@ -212,7 +212,7 @@ class TestVolumeLight:
             assert others[name] == pytest.approx(0, abs=1e-6)
 
     @pytest.mark.parametrize("mode", ["REPLACE", "ADD"])
-    def test_light_that_cannot_be_told_apart_comes_from_everywhere(self, mode):
+    def test_light_without_a_known_direction_comes_from_everywhere(self, mode):
         light, others, beams = volume_light(self.field(apart=False), self.LIGHTS, mode)
         assert light == self.radiance(10.3)
         assert (others, beams) == ({}, [])

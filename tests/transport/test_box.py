@@ -116,7 +116,7 @@ def test_an_even_sky_is_too(found):
 
 
 def assert_cast_is_whole(light, found):
-    """Behind the box, too; what collides is told of in the box alone."""
+    """Behind the box, too; collisions are counted in the box alone."""
     medium = clump(PLACES["even"], "block")
     box = Box.around([medium.density])
     whole, part = (cast(medium, light, 0, 2.1, found, 3, box=b) for b in (None, box))

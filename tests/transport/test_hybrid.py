@@ -213,7 +213,7 @@ SHARING = {
 @pytest.mark.parametrize("kind", SHARING)
 def test_bands_that_light_meets_alike_share_its_rays(monkeypatch, kind, irradiance, scattering):
     g, walls, casts = SHARING[kind]
-    if scattering == "single" and g > 0:  # nothing is handed over
+    if scattering == "single" and g > 0:  # there is no collision source
         casts = 1
 
     def solved_in(bands):
@@ -256,12 +256,12 @@ def test_an_even_sky_of_any_colour_is_sent_once_and_what_it_misses_once(monkeypa
 
 def test_progress_comes_to_its_end_by_way_of_every_light():
     """Lights of three colours in a grey medium are solved apart."""
-    told = []
+    fractions = []
     suns = [Sun((0.3, 0.2, -0.93), c) for c in ((2, 1, 1), (1, 2, 1), (1, 1, 2))]
     medium = cloud(np.full(3, 2.0), np.full(3, 0.1))
-    solved(medium, suns, progress=lambda _stage, fraction: told.append(fraction))
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
+    solved(medium, suns, progress=lambda _stage, fraction: fractions.append(fraction))
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1)
 
 
 def test_a_dark_first_band_does_not_darken_the_others():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Less than everything: unscattered light alone, and scattered light in larger voxels."""
+"""Parts of the light: uncollided light alone, and scattered light in larger voxels."""
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ def test_merged_light_is_near_that_of_all_voxels(found):
 
 
 def test_merged_light_is_linear_between_large_voxels():
-    """In a thin slab, whose scattered light in each large voxel is told by a solve of these."""
+    """In a thin slab, where a solve in the large voxels gives the scattered light of each."""
     medium = cloud(20).altered(density=np.random.default_rng(3).random((20, 20, 9)))
     large = solve(medium.merged(3), [SUN]).fluence[0]
     fine = solve(medium, [SUN], Settings(merge=3)).fluence[0]

@@ -112,8 +112,8 @@ def test_bad_settings_are_refused(settings):
         Settings(**settings)
 
 
-def test_the_residual_is_told_while_light_settles():
-    told = []
+def test_the_residual_is_reported_until_convergence():
+    reports = []
     medium = Medium(np.ones((12, 12, 12)), 1.0, 0.5, 0.01)
     settings = Settings(tolerance=1e-3)
     field = solve(
@@ -121,25 +121,25 @@ def test_the_residual_is_told_while_light_settles():
         [Sun((0, 0, -1), 1.0)],
         settings,
         "NumPy",
-        progress=lambda stage, fraction: told.append((stage, fraction)),
-        residual=lambda error: told.append(error),
+        progress=lambda stage, fraction: reports.append((stage, fraction)),
+        residual=lambda error: reports.append(error),
     )
-    errors = [error for error in told if isinstance(error, float)]
+    errors = [error for error in reports if isinstance(error, float)]
     assert errors[0] == 1
     assert all(np.diff(errors) <= 0)
     assert field.report.residual <= settings.tolerance < errors[-1] < 0.2
-    assert all(told[told.index(error) + 1][0] == "solve" for error in errors)
+    assert all(reports[reports.index(error) + 1][0] == "solve" for error in errors)
 
 
 def test_the_papers_model_has_no_residual_to_tell():
-    told = []
+    reports = []
     medium = Medium(np.ones((6, 6, 6)), 1.0, 0.5, 0.01)
-    solve(medium, [Sun((0, 0, -1), 1.0)], Settings("paper"), "NumPy", residual=told.append)
-    assert told == []
+    solve(medium, [Sun((0, 0, -1), 1.0)], Settings("paper"), "NumPy", residual=reports.append)
+    assert reports == []
 
 
 @pytest.mark.parametrize("handover", [0.0, 2.0])
-def test_light_of_small_angles_is_told_apart(handover):
+def test_light_of_small_angles_is_kept_apart(handover):
     """It is what a medium of less extinction would let pass, over what this one does; through
     columns of constant depth both are known."""
     g, sigma_s, n = 0.8, 6.0, 12

@@ -158,8 +158,8 @@ def test_the_papers_light_explodes_above_2_per_voxel(thickness, grows):
 
 @pytest.mark.parametrize(("thickness", "below_zero"), [(0.9, False), (1.5, True)])
 def test_the_papers_light_falls_below_zero_above_1_per_voxel(thickness, below_zero):
-    """More is taken from a direction than there is: the light that comes to a sunlit medium
-    alternates from step to step before it settles."""
+    """A collision takes more light from a direction than is there, so light that enters a sunlit
+    medium alternates from step to step before it converges."""
     medium = Medium(np.ones((10, 10, 10)), 1.0, thickness, 0.0)
     lattice = PaperReference(medium, keep_absorbed=False)
     inflow = np.zeros(19)

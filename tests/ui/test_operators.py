@@ -116,9 +116,9 @@ class TestBake:
     def test_notes_are_warnings(self, scene, tmp_path, capfd):
         scenery.select(scenery.add_fog(tmp_path, material=False))
         bpy.ops.lb_lighting.bake()
-        told = capfd.readouterr().out
-        assert "Warning: 'fog' has no volume material; the preset 'cloud' was used." in told
-        assert "Warning: Solved with NumPy; an OpenCL driver" in told
+        printed = capfd.readouterr().out
+        assert "Warning: 'fog' has no volume material; the preset 'cloud' was used." in printed
+        assert "Warning: Solved with NumPy; an OpenCL driver" in printed
 
     def test_again_without_a_new_selection(self, scene, tmp_path):
         scenery.select(scenery.add_fog(tmp_path))

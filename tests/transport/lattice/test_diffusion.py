@@ -185,7 +185,7 @@ def test_light_of_a_white_cube_dies_away_as_diffusion_says(n, depth):
 
 
 def decay_of_transport(albedo, g):
-    """By how many e-foldings light fades over a mean free path, deep in a medium.
+    """By how many e-foldings light decays over a mean free path, deep in a medium.
 
     The moments of the transfer equation are a continued fraction (docs/theory/physics.md).
     """
@@ -348,8 +348,7 @@ def test_light_from_outside_is_as_strong_in_the_depth_as_it_should_be(cosine, ex
 
 
 def test_the_flux_through_a_white_slab_is_the_same_everywhere():
-    """And that of a voxel without end, once the way from its centre to where light was handed
-    over is left out."""
+    """So is that of an endless voxel, without the path from its centre to the collision source."""
     _, transmitted, flux = slab(12, 30, cosine=1.0)
     np.testing.assert_allclose(flux, transmitted, rtol=1e-10)
 

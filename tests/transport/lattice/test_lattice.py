@@ -108,7 +108,7 @@ def test_kernels_do_so_for_all_optics(albedo, g, device):
 @pytest.mark.parametrize("kind", MEDIA)
 @pytest.mark.parametrize(("albedo", "g"), [(0.9, 0.6), (0.3, -0.8), (1.0, 0.99)])
 def test_every_step_accounts_for_all_light(albedo, g, kind):
-    """Light before + handed = light after + absorbed + left + stopped, far from convergence too."""
+    """Light before + source = light after + absorbed + left + stopped, far from convergence too."""
     medium, source = MEDIA[kind](SHAPE), some_source(SHAPE)
     lattice, depth = lattice_on(None, medium, albedo, g), medium[0].astype(float)
     lattice.start(source)

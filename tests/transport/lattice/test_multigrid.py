@@ -126,7 +126,7 @@ def test_thick_white_media_take_a_fifth_of_the_steps():
 
 
 def test_corrections_that_make_it_worse_are_taken_back_and_given_up():
-    """Were the coarser lattice wrong, light would settle as soon as without it, nearly."""
+    """If the coarser lattice were wrong, corrections would hardly speed up convergence."""
 
     class Wrong(Level):
         def correct(self):

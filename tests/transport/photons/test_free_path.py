@@ -104,15 +104,15 @@ def test_no_loop_is_endless(sampler, found):
     behind = np.zeros(SHAPE)
     behind[-1] = 1
     prepared = prepare(voxels(behind, 1e9 / VOXEL), sampler, size=32, found=found, most_steps=300)
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         distances = prepared.sample(origins, forward)
     lost = np.isnan(distances)
     if lost.any():
-        assert [str(w.message).split(" rays")[0] for w in told] == [f"{lost.sum()} of {count}"]
-        assert told[0].category is RuntimeWarning
+        assert [str(w.message).split(" rays")[0] for w in caught] == [f"{lost.sum()} of {count}"]
+        assert caught[0].category is RuntimeWarning
     else:
-        assert not told
+        assert not caught
     assert lost.all() == (sampler in VIRTUAL)
     wall = 1 + (SHAPE[0] - 1) * VOXEL
     assert distances[~lost] == pytest.approx(wall, abs=1e-5)

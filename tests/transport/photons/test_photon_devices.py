@@ -268,10 +268,10 @@ def test_bytes_are_those_of_the_plan():
 
 @on_every_device
 def test_progress_rises_to_the_end(found):
-    told = []
-    trace(lumpy(), LIGHTS, 3200, device=found.label, progress=lambda *stage: told.append(stage))
-    fractions = [fraction for _, fraction in told]
-    assert {stage for stage, _ in told} == {"trace"}
+    reports = []
+    trace(lumpy(), LIGHTS, 3200, device=found.label, progress=lambda *stage: reports.append(stage))
+    fractions = [fraction for _, fraction in reports]
+    assert {stage for stage, _ in reports} == {"trace"}
     assert fractions == sorted(fractions)
     assert 0 < fractions[0] < 0.1
     assert fractions[-1] == 1

@@ -210,7 +210,7 @@ def test_samplers_find_the_same_light(sampler):
 
 
 def test_reflection_is_no_collision():
-    """A beam on a white wall, which it comes back from, and is handed over where it collides."""
+    """A white wall reflects a beam, which enters the collision source where it collides."""
     occlusion = wall()
     density = np.zeros(occlusion.shape)
     density[..., :2] = 1e4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a trace returns: light by voxel, its variance, its energy, what is handed over.
+"""What a trace returns: light by voxel, its variance, its energy, its collision source.
 
 Each test would fail by chance for at most one seed in 10 000, see tests/tracing.py.
 """
@@ -98,7 +98,7 @@ def test_spacing_of_scores_changes_nothing_but_the_noise(spacing):
 
 
 def test_direct_light_can_be_left_out():
-    """What is left is the same, and so is what is handed over."""
+    """The escaped light is the same, and so is the collision source."""
     field = trace(patchy(), [SUN, Sky(0.1)], 100_000, seed=3, direct=False)
     assert_same_light(field, reference())
     assert not field.direct.any()

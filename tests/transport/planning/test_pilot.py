@@ -37,7 +37,7 @@ def test_loose_targets_trace_no_photons():
     assert pilot.error == 0.065
 
 
-def test_what_rays_are_off_is_foretold():
+def test_the_error_of_few_rays_is_predicted():
     """To a factor of 2.5: the suns that stand for a sky are now better placed and now worse."""
     medium = cube(n=24, depth=4.0)
     pilot = fly(medium, [ZENITH], Settings(), 0.2)
@@ -48,8 +48,8 @@ def test_what_rays_are_off_is_foretold():
     truth = single(6.0)
     for rays in (0.5, 1.0, 2.0):
         found = error(single(rays), truth)
-        foretold = pilot.sampling * rays**-EVENER
-        assert 0.4 < foretold / found < 2.5
+        predicted = pilot.sampling * rays**-EVENER
+        assert 0.4 < predicted / found < 2.5
 
 
 def test_merging_is_seen():

@@ -46,7 +46,7 @@ def test_thin_media_start_no_lattice(quality, monkeypatch):
 
 @pytest.mark.parametrize("light", [SUN, Sky(1.0), PointLight((0.5, 0.5, 1.5), 1.0)])
 @pytest.mark.parametrize("depth", [0.02, 0.3, 2.0, 10.0])
-def test_scattered_light_is_no_more_than_was_foretold_of_thin_media(light, depth):
+def test_scattered_light_is_no_more_than_predicted_for_thin_media(light, depth):
     """The bound that a lattice is left out by, also where it is not small."""
     medium = cube(depth=depth, albedo=1.0)
     field = solve_medium(medium, [light])
@@ -107,15 +107,15 @@ def test_better_qualities_take_more_work():
     assert [p.settings.tolerance for p in plans] == [0.2 * t for t in TARGETS.values()]
 
 
-def test_noise_is_foretold():
+def test_noise_is_predicted():
     """That of photons alone, which is more than where a lattice takes over."""
     medium = cube(n=20)
     pilot = fly(medium, [SUN], Settings(), 0.05)
     settings = Settings(handover=inf, photons=100_000)
     first, second = (solve_medium(medium, [SUN], replace(settings, seed=s)) for s in (7, 8))
     found = error(first, second) / np.sqrt(2)
-    _, foretold = Expectation(pilot, medium, 20, 0.05).error(settings)
-    assert foretold == pytest.approx(found, rel=0.15)
+    _, predicted = Expectation(pilot, medium, 20, 0.05).error(settings)
+    assert predicted == pytest.approx(found, rel=0.15)
 
 
 def test_what_is_fixed_is_not_chosen():
@@ -163,9 +163,9 @@ def test_the_default_cube_is_a_draft_within_its_budget(density):
 
 def pilot_of_deep(**changes):
     """A `Pilot` of a medium that photons alone can meet the target in, in 200 s."""
-    told = {"error": 0.14, "merging": 0.2, "noise": 100.0, "trace": 2e-4, "collisions": 50.0}
-    told |= {"rays": 0.1, "solve": 0.5, "steps": (40, 40), "sampling": 0.01, "once": 0.1}
-    return Pilot(16, 0.9, **told | changes)
+    measured = {"error": 0.14, "merging": 0.2, "noise": 100.0, "trace": 2e-4, "collisions": 50.0}
+    measured |= {"rays": 0.1, "solve": 0.5, "steps": (40, 40), "sampling": 0.01, "once": 0.1}
+    return Pilot(16, 0.9, **measured | changes)
 
 
 def test_a_draft_that_would_take_long_is_one_that_does_not(monkeypatch):
@@ -174,14 +174,14 @@ def test_a_draft_that_would_take_long_is_one_that_does_not(monkeypatch):
     assert chosen.seconds <= 20
     assert chosen.error < 0.15
     assert not chosen.meets_target
-    told = chosen.reasons[-1]
-    assert "above the target of 10%" in told
-    assert "Meeting the target would take about" in told
-    assert "choose Final" in told
+    reason = chosen.reasons[-1]
+    assert "above the target of 10%" in reason
+    assert "Meeting the target would take about" in reason
+    assert "choose Final" in reason
     patient = plan(cube(), [SUN], "draft", budget=inf)
     assert patient.meets_target
     assert patient.seconds > 20
-    assert f"about {patient.seconds:.0f} s" in told
+    assert f"about {patient.seconds:.0f} s" in reason
     # Who asks for less error is not held back.
     assert plan(cube(), [SUN], "final").seconds > 20
 
@@ -255,14 +255,14 @@ def test_no_memory_at_all_is_told(monkeypatch):
         plan(cube(), [SUN], "draft")
 
 
-def test_a_box_of_matter_is_told_of():
+def test_a_box_of_matter_is_reported():
     density = np.zeros((32,) * 3)
     density[12:20, 12:20, 12:20] = 1
     chosen = plan(Medium(density, 1, 1, 0.01), [SUN], "draft")
     assert any("covers 5% of the domain" in reason for reason in chosen.reasons)
 
 
-def test_larger_domains_are_foretold_from_small_ones():
+def test_larger_domains_are_predicted_from_small_ones():
     """Work grows with voxels, and steps at most with their number along an edge."""
     pilot = Pilot(32, 0.9, 0.5, rays=1.0, solve=1.0, steps=(40, 40), error=0.05)
     medium = cube(4)

@@ -35,27 +35,27 @@ def patchy():
 @on_each_device
 def test_an_even_medium_has_the_paths_that_are_known(found):
     medium = even(3.0, origin=(5, -7, 1))
-    told = statistics(medium, found, seed=3, rays=RAYS, samplers=())
-    assert told.counts.sum() == round(RAYS * (1 - told.escaped))
-    assert told.even.sum() == pytest.approx(told.counts.sum(), rel=0.02)
+    figures = statistics(medium, found, seed=3, rays=RAYS, samplers=())
+    assert figures.counts.sum() == round(RAYS * (1 - figures.escaped))
+    assert figures.even.sum() == pytest.approx(figures.counts.sum(), rel=0.02)
     # Exponential: of n collisions the mean is good to 1 / sqrt(n).
-    error = told.in_matter / np.sqrt(told.counts.sum())
-    assert told.in_matter == pytest.approx(2 / 3)
-    assert normal((told.mean_free_path - told.in_matter) / error) > FALSE_ALARM
-    many = told.even > 20
+    error = figures.in_matter / np.sqrt(figures.counts.sum())
+    assert figures.in_matter == pytest.approx(2 / 3)
+    assert normal((figures.mean_free_path - figures.in_matter) / error) > FALSE_ALARM
+    many = figures.even > 20
     assert many.sum() > 20
-    assert chi_square(told.counts[many], told.even[many], 0) > FALSE_ALARM
-    assert told.edges[0] == 0
-    assert 2 < told.edges[-1] < 2 * np.sqrt(3)
+    assert chi_square(figures.counts[many], figures.even[many], 0) > FALSE_ALARM
+    assert figures.edges[0] == 0
+    assert 2 < figures.edges[-1] < 2 * np.sqrt(3)
 
 
-def test_other_media_are_told_from_even_ones():
+def test_uneven_media_are_recognised():
     density = np.ones((16, 16, 16))
     density[4:12, 4:12, 4:12] = 0  # the first flights are short, and some are very long
     hollow = Medium(density, 1 / 8, 4.0, 0.0)
-    told = statistics(hollow, seed=3, rays=RAYS, samplers=())
-    many = told.even > 20
-    assert chi_square(told.counts[many], told.even[many], 0) < FALSE_ALARM
+    figures = statistics(hollow, seed=3, rays=RAYS, samplers=())
+    many = figures.even > 20
+    assert chi_square(figures.counts[many], figures.even[many], 0) < FALSE_ALARM
 
 
 def test_rays_start_where_matter_begins():
@@ -72,17 +72,17 @@ def test_rays_start_where_matter_begins():
 
 def test_depths_are_sums_over_voxels():
     medium = patchy()
-    told = statistics(medium, rays=64, samplers=())
-    assert told.band == 1  # the densest
+    figures = statistics(medium, rays=64, samplers=())
+    assert figures.band == 1  # the densest
     density = medium.density.astype(float)
     for axis in range(3):
         columns = 8 * 0.25 * density.sum(axis=axis)
-        assert told.depth_mean[axis] == pytest.approx(columns.mean(), rel=1e-6)
-        assert told.depth_max[axis] == pytest.approx(columns.max(), rel=1e-6)
-    assert told.voxel_depth_max == pytest.approx(8 * 0.25 * density.max())
-    assert told.void == np.mean(density == 0)
-    assert told.albedo == 5 / 8
-    assert told.voxels == 8
+        assert figures.depth_mean[axis] == pytest.approx(columns.mean(), rel=1e-6)
+        assert figures.depth_max[axis] == pytest.approx(columns.max(), rel=1e-6)
+    assert figures.voxel_depth_max == pytest.approx(8 * 0.25 * density.max())
+    assert figures.void == np.mean(density == 0)
+    assert figures.albedo == 5 / 8
+    assert figures.voxels == 8
 
 
 @on_each_device
@@ -124,16 +124,16 @@ def test_acceptance_is_the_mean_over_the_bound():
 
 def test_noise_has_statistics():
     medium = PerlinMedium(256, 2.0, 9.0, 1.0, cutoff=0.4, power=2.0, seed=5)
-    told = statistics(medium, rays=RAYS, samplers=("woodcock",))
+    figures = statistics(medium, rays=RAYS, samplers=("woodcock",))
     voxels = medium.voxels(64).density.astype(float)
-    assert told.depth_mean[0] == pytest.approx(10 * 2 * voxels.mean())
-    acceptance = told.samplers["woodcock"].acceptance
+    assert figures.depth_mean[0] == pytest.approx(10 * 2 * voxels.mean())
+    acceptance = figures.samplers["woodcock"].acceptance
     largest = float(medium.constant_majorants(1).values.max())
     assert acceptance == pytest.approx(voxels.mean() / largest, rel=0.3)
-    assert "bake it" in advice(told, 64)
+    assert "bake it" in advice(figures, 64)
 
 
-def told_of(medium):
+def figures_of(medium):
     return statistics(medium, rays=64, samplers=())
 
 
@@ -157,7 +157,7 @@ def told_of(medium):
     ],
 )
 def test_advice(medium, said):
-    sentence = advice(told_of(medium), 64)
+    sentence = advice(figures_of(medium), 64)
     assert said in sentence
     assert sentence.endswith(".")
     assert "\n" not in sentence
@@ -165,16 +165,16 @@ def test_advice(medium, said):
 
 
 def test_advice_depends_on_the_resolution_of_the_bake():
-    told = told_of(even(48.0))
-    assert "96 voxels resolve its light" in advice(told, 96)
-    assert "use 48" not in advice(told, 64)
-    assert "32 give its smooth light" in advice(told, 32)
+    figures = figures_of(even(48.0))
+    assert "96 voxels resolve its light" in advice(figures, 96)
+    assert "use 48" not in advice(figures, 64)
+    assert "32 give its smooth light" in advice(figures, 32)
 
 
 def test_bars_are_as_high_as_counts():
-    told = statistics(even(3.0), seed=1, rays=RAYS, samplers=())
-    bins, each, height = len(told.counts), 5, 200
-    picture = histogram_picture(told, bins * each, height)
+    figures = statistics(even(3.0), seed=1, rays=RAYS, samplers=())
+    bins, each, height = len(figures.counts), 5, 200
+    picture = histogram_picture(figures, bins * each, height)
     assert picture.shape == (height, bins * each, 4)
     assert picture.dtype == np.float32
     assert picture.min() >= 0
@@ -182,15 +182,15 @@ def test_bars_are_as_high_as_counts():
     blue = (picture[..., 2] > 0.7) & (picture[..., 0] < 0.5) & (picture[..., 3] > 0.5)
     highest = np.where(blue.any(axis=0), height - np.argmax(blue[::-1], axis=0), 0)
     top = highest.reshape(bins, each)[:, 1:-1].max(axis=1)
-    scale = (height - 2) / max(told.counts.max(), told.even.max())
-    high = told.counts * scale > 15  # over the line of what is to be expected, or about there
+    scale = (height - 2) / max(figures.counts.max(), figures.even.max())
+    high = figures.counts * scale > 15  # over the line of what is to be expected, or about there
     assert high.sum() > 15
-    assert np.abs(top - told.counts * scale)[high].max() < 8
+    assert np.abs(top - figures.counts * scale)[high].max() < 8
     assert picture[-1, -1, 3] == 0  # the background shows
     line = (picture[..., 0] > 0.9) & (picture[..., 3] > 0.5)
     assert line.any(axis=0).mean() > 0.95
     middle = np.array([np.flatnonzero(column).mean() for column in line[:, 2::each].T])
-    assert np.abs(middle + 0.5 - told.even * scale)[1:-1].max() < 4
+    assert np.abs(middle + 0.5 - figures.even * scale)[1:-1].max() < 4
 
 
 def test_what_is_no_number_of_rays_is_refused():
