@@ -62,7 +62,7 @@ class PaperLattice:
 
     def start(self, inflow: Floats, omega: Floats) -> None:
         """Set the light that enters, (19,) by direction, and the collision matrix (19, 19)."""
-        for state in self.states:  # the boundary is never written, so both hold it
+        for state in self.states:  # steps never write to the boundary, so both states hold it
             with self._mapped(state, cl.map_flags.WRITE_INVALIDATE_REGION) as light:
                 set_initial_light(light, inflow)
         cl.enqueue_copy(self.queue, self.omega, omega.astype(np.float32))
