@@ -31,7 +31,7 @@ from .layout import (
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 DIAGONAL_BLOCKING = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
-"""How many voxels beside a diagonal, over 1, light on it meets. With this number light of all
+"""Light on a diagonal meets this many voxels beside it, plus 1. With this value, light of all
 directions enters 3/2 voxels for each voxel's edge, as straight lines of all directions do."""
 
 

@@ -36,7 +36,7 @@ class _Leaving:
     """Light that leaves a box along a direction, in grids flipped so that it is positive.
 
     The axes along which it moves come first. It leaves through the last plane of the first axis
-    and, along a diagonal, also through the last row of the second. These rows, one after the other, are
+    and, along a diagonal, also through the last row of the second. These rows, in order, are
     the light that crosses any later plane, shifted by one row per plane.
 
     light  (rows, ...) of a diagonal, else (...)
