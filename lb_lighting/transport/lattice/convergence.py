@@ -16,7 +16,7 @@ import numpy as np
 from .multigrid import Level
 
 _CHECK_EVERY = 8  # steps between two checks
-_LAYERS, _FEW = 16, 48  # layers that a check reads, for half a step; up to the second, all
+_LAYERS, _FEW = 16, 48  # layers that a check reads, for half a step; all, if fewer than _FEW
 _RATES = 3  # last rates, of which the slowest is used
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
 _FAR = 60  # remaining steps beyond which a correction, which costs about 24, is worthwhile

@@ -18,7 +18,7 @@ type Directional = Callable[[Floats], Any]
 """A radiance in W/(m^2 sr) as a function of the unit vector towards the sky."""
 
 _AT_ONCE = 2**18  # rays in one piece of `Light.rays`
-# `Light.rays` of a light without rays of its own: their largest number; and their number for each
+# `Light.rays` of a light without regular rays: their largest number; and their number for each
 # voxel face on half of the domain's border, as a multiple of per_edge^2.
 _MOST_RAYS, _RAYS_A_FACE = 2**22, 4
 

@@ -82,7 +82,7 @@ class PaperLattice:
         return self._mapped(self.states[1 if previous else 0], cl.map_flags.READ)
 
     def _work_group(self, kernel: str) -> tuple[int, ...] | None:
-        """The paper's stripe along DEPTH; None, for the driver's choice, where it is too long."""
+        """The paper's stripe along DEPTH; None, the driver's choice, if it is too long."""
         if self.shape[2] <= self.queue.device.max_work_group_size:
             return (self.shape[2], 1, 1)
         if kernel == "coalesced":

@@ -49,7 +49,7 @@ from .perlin import PerlinMedium
 
 SAMPLERS = ("ray_march", "woodcock", "supervoxel_constant", "supervoxel_linear")
 _MOST_VALUES = 2**31 - 1  # the most that kernels can index
-_MOST_CELLS = 128  # super-voxels along an edge of noise: majorants of more cost more than they save
+_MOST_CELLS = 128  # super-voxels along an edge of noise: finer majorants cost more than they save
 MOST_STEPS = 10**8  # after which a path is abandoned: about a minute
 
 

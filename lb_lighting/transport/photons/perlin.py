@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fractal noise as a medium of any effective resolution that is never stored.
+"""Fractal noise as a medium: of any effective resolution, and never stored.
 
 The noise is a sum of octaves ("Procedural media" and "Upper bound" of paper 2). Octave i has values
 in [0, 1], hashed from their position, on a lattice of coarsest * 2^i cells along each edge of the

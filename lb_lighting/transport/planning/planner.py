@@ -155,7 +155,7 @@ def _choices(
 def _candidates(
     base: Settings, fixed: Mapping[str, Any], edge: int, handovers: Sequence[float]
 ) -> Iterator[Settings]:
-    """`Settings` to choose from: all combinations with what is fixed."""
+    """`Settings` to choose from: all combinations with the fixed ones."""
     merges = [m for m in MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
     dials: dict[str, Sequence[Any]] = {"rays": _RAYS, "merge": merges, "handover": handovers}
     dials |= {name: [fixed[name]] for name in dials if name in fixed}

@@ -50,7 +50,7 @@ class _Layers:
     def _send(
         self, beams: Sequence[Beam], matter: Matter, tallied: Sequence[cl.Buffer], monitor: Monitor
     ) -> tuple[Floats, int]:
-        """Send beams; returns what `NumpySweep.run` does.
+        """Send beams. Returns the same as `NumpySweep.run`.
 
         matter   as of `_bordered`
         tallied  the kernel's buffers: tallies, inside, sums
