@@ -2,16 +2,16 @@
 // The physical lattice. The twin, transport/lattice/lattice_numpy.py, defines the quantities;
 // lattice/layout.cl, which is built before this, defines their layout.
 //
-// Steps work in place. Before a step the light that has arrived at a cell along m lies in that cell,
-// under m; or it is `swapped` and lies in the cell that it came from, under the opposite direction.
-// `step_here` reads the first form and leaves the second, `step_there` the other way round: in both,
-// a cell writes only to places that it alone has read.
+// Steps work in place. Before a step, the light that has arrived at a cell along m is in that cell,
+// under m; or it is `swapped`: in the cell that it came from, under the opposite direction.
+// `step_here` reads the first form and writes the second; `step_there` does the reverse. In both, a
+// cell writes only to places that it alone reads.
 //
 // Built with the twin's constants W_AXIS, W_DIAGONAL, MEAN_LENGTH, SECOND_MOMENT, REFLECTED and
 // DIAGONAL_BLOCKING, and with GROUP.
 
-// Optical depths of voxels' edges. Outside of the domain they are -1 - the reflected share, relative
-// to REFLECTED.
+// Optical depths of voxels' edges. Outside the domain they are -1 minus the reflected share over
+// REFLECTED.
 #define MEDIUM                                                                             \
     __global const float *depths, const float first, const float second, const float loss
 
@@ -42,7 +42,7 @@ static Rates rates(const float length, const float depth, const float first, con
 
 #define ADD_PAIR(m, back, cx, cy, cz) sum += f[m] + f[back];
 
-// The density of the isotropic light, of weights w, that collisions of the light f relax to.
+// The density of the isotropic light, with weights w, to which collisions relax the light f.
 static float isotropic(const float *f, const Rates axis, const Rates diagonal)
 {
     const float pull_axis = axis.even > 0.0f ? axis.even : 1.0f;
@@ -170,8 +170,8 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
 
 // --- Opaque voxels ------------------------------------------------------------------------------
 
-// For light on its way along (cx, cy, cz) to a cell from the one upstream: the share of OF that the two
-// voxels beside a diagonal stop, 0 along axes; and the share that passes, PAST.
+// For light that arrives at a cell along (cx, cy, cz) from the one upstream: BESIDE, the share OF of
+// the two voxels beside a diagonal, 0 along axes; and PAST, the share that they let pass.
 #define OPAQUE(cell) occlusion[cell]
 #define REFLECTING(cell) (occlusion[cell] * occlusion_albedo[cell])
 #define ABSORBING(cell) (occlusion[cell] * (1.0f - occlusion_albedo[cell]))
@@ -207,8 +207,8 @@ __kernel void mirror(GRID, __global float *light, const int swapped, __global co
     GATHER_ONE(m, back, cx, cy, cz)                                                        \
     GATHER_ONE(back, m, -(cx), -(cy), -(cz))
 
-// densities: in each of the cells `at`, of the isotropic light that is reflected into it; reflected:
-// as of the twin's source
+// densities: of the isotropic light that is reflected into each of the cells `at`; reflected: as in
+// the twin's source
 __kernel void reflect(GRID, __global const float *light, const int swapped, OCCLUDERS,
                       __global const float *reflected, __global float *densities)
 {
@@ -249,7 +249,7 @@ __kernel void meet(GRID, __global float *light, const int swapped, OCCLUDERS,
     f[m] = ARRIVED(m, back, cell, STEP(cx, cy, cz));                                       \
     f[back] = ARRIVED(back, m, cell, -STEP(cx, cy, cz));
 
-// The cell of the voxel of a work-item in the range (nz, ny, nx), in every n-th layer; `origin` is the
+// The cell of a work-item's voxel in the range (nz, ny, nx), in every n-th layer; `origin` is the
 // cell of the first voxel.
 #define LOOK_AT_VOXEL                                                                      \
     const size_t z = get_global_id(0), y = get_global_id(1), x = get_global_id(2);         \
@@ -298,7 +298,7 @@ __kernel void read_flux(GRID, __global const float *light, const int swapped, ME
     flux[2 * voxels + voxel] = jz;
 }
 
-// Light that has left the domain along m, through the first face on its way.
+// Light that has left the domain along m, through the first face on its path.
 #define ADD_LEFT(m, back, cx, cy, cz)                                                      \
     if (at_end(cx, x, nx) || at_end(cy, y, ny) || at_end(cz, z, nz)) {                     \
         const size_t to = cell + STEP(cx, cy, cz);                                         \

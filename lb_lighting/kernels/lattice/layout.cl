@@ -25,8 +25,8 @@
 #define HERE(m, cell) light[(m)*stride + guard + (cell)]
 #define ARRIVED(m, back, cell, step) HERE(swapped ? (back) : (m), swapped ? (cell) - (step) : (cell))
 
-// The light f of a step in place: one reads light in the cell where it has arrived and leaves it
-// swapped, the other reads swapped light and leaves it where it arrives next.
+// The light f of a step in place: one kind of step reads light in the cell where it has arrived and
+// writes it swapped; the other reads swapped light and writes it where it arrives next.
 #define TAKE_HERE(m, back, cx, cy, cz)                                                     \
     f[m] = HERE(m, cell);                                                                  \
     f[back] = HERE(back, cell);

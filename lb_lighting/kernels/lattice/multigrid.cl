@@ -2,8 +2,8 @@
 // Between a lattice and the coarser one of half its resolution: `restrict` and `prolongate` of the
 // twin, transport/lattice/lattice_numpy.py. Built after lattice/layout.cl and lattice/lattice.cl.
 //
-// Both take two kernels, along z and across it, so that loads are contiguous. They work on some planes
-// of the coarser lattice at a time, from `begin` on, so that the buffer between the two kernels,
+// Both use two kernels, along z and across it, so that loads are contiguous. They process a few
+// planes of the coarser lattice at a time, from `begin`, so that the buffer between the kernels,
 // `parts`, stays in caches: (18 or more) x planes x ny_2 x nz.
 
 #define PLACE                                                                              \
@@ -20,7 +20,7 @@
 
 // --- Restriction -------------------------------------------------------------------------------
 
-// One of four adjacent voxels; edges of an odd number of voxels end in cells outside.
+// One of four adjacent voxels; odd numbers of voxels along an edge end in cells outside.
 #define CHILD(n, dx, dy)                                                                   \
     const size_t cell_##n = origin + STEP(2 * (begin + layer) + dx, 2 * y + dy, z);        \
     const float live_##n = depths[cell_##n] < 0.0f ? 0.0f : 1.0f;                          \

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The paper's final kernel for devices that do not coalesce shifted writes: a work-group is one
-// stripe along DEPTH, collects its outflow in local memory at the place where it goes, and
-// writes the stripe in order behind a barrier.
+// stripe along DEPTH. It collects its outflow in local memory, each value at its target, and writes
+// the stripe in order after a barrier.
 //
-// The stripe is kept twice and used in turn: with a single one, as printed in the paper, a fast
-// work-item may overwrite for direction m + 1 what a slow one has yet to write for m.
+// Two stripes take turns. With a single one, as printed in the paper, a fast work-item may
+// overwrite for direction m + 1 a value that a slow one has yet to write for m.
 //
 // Built with WIDTH, HEIGHT, DEPTH (nodes), FIRST (1 where absorbed light is dropped, else 0)
 // and, where the medium has opaque voxels, OCCLUSION. The work-group is (1, 1, DEPTH).

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The paper's first kernel: one work-item a node, directions fastest in memory, and a table
-// that says which node each flow goes to. Flows that would leave the lattice, or enter a boundary
-// node, go to a sink behind the last node.
+// The paper's first kernel: one work-item for each node, directions fastest in memory, and a table
+// of the node that each flow goes to. Flows that would leave the lattice or enter a boundary node
+// go to a sink behind the last node.
 //
 // Built with WIDTH, HEIGHT, DEPTH (nodes), FIRST (1 where absorbed light is dropped, else 0)
 // and, where the medium has opaque voxels, OCCLUSION.

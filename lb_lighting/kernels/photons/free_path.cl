@@ -2,10 +2,10 @@
 // The first collisions of rays. Built after photons/paths.cl; the twin is
 // transport/photons/paths_numpy.py.
 
-// The distance to the first real collision of every ray, infinite where it leaves the domain, NaN
-// where it took over `most_steps` steps. A work-item counts the particles that its rays met, real
-// or virtual, and the rays whose majorant was violated. A work-item takes the next ray as soon as it
-// has finished one, so that all lanes of a vector stay busy.
+// The distance to the first real collision of each ray: infinite if it leaves the domain, NaN if it
+// takes more than `most_steps` steps. Each work-item counts the real and virtual particles that its
+// rays meet, and the rays whose majorant is violated. It takes the next ray as soon as it has
+// finished one, so that all lanes of a vector stay busy.
 __kernel void free_paths(GRID_PARAMETERS, __global const float *rays,
                          __global const uint *indices, const int count, const uint seed,
                          const int most_steps,

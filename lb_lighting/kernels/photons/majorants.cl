@@ -3,15 +3,15 @@
 // transport/photons/majorants_numpy.py describes it and is the twin. A work-item solves one
 // super-voxel; a group has LANES of them, and their node values lie side by side.
 //
-// Built with LANES, EXCHANGES (most of them), TOLERANCE (of the mean), SMALLEST_PIVOT.
+// Built with LANES, EXCHANGES (the maximum), TOLERANCE (of the mean) and SMALLEST_PIVOT.
 
 #define CORNERS 8
 #define NODE(i, j, k) (((size_t)((i) * nodes.y + (j)) * nodes.z + (k)) * LANES)
 #define ROW(i, j) (((size_t)(i) * shape.y + (j)) * shape.z)
 
-// values  voxels (blocky) or nodes; fine, cells and nodes are triples of counts, nodes the most
-//         that a super-voxel has; size is in fine cells; scratch holds the node values
-// least   8 corner values a super-voxel, z fastest
+// values  voxels (blocky) or nodes; fine, cells and nodes are triples of counts, nodes the largest
+//         of a super-voxel; size is in fine cells; scratch holds the node values
+// least   8 corner values for each super-voxel, z fastest
 __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 nodes, int size,
                   int blocky, __global float *scratch, __global float *least)
 {
@@ -27,7 +27,7 @@ __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 node
     const int3 shape = fine + 1 - blocky;
     const float3 unit = 1.0f / convert_float3(extent);
 
-    // A node takes the largest of the values around it that the super-voxel has.
+    // A node takes the largest of the super-voxel's values around it.
     for (int i = 0; i < nodes.x; i++) {
         const int x1 = min(first.x + i, last.x), x0 = clamp(first.x + i - blocky, first.x, x1);
         for (int j = 0; j < nodes.y; j++) {
@@ -58,7 +58,7 @@ __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 node
 
     float best = INFINITY;
     for (int exchange = 0; exchange <= EXCHANGES; exchange++) {
-        // Find the node that the function misses by most.
+        // Find the node that lies farthest above the function.
         float excess = 0.0f;
         int3 worst = (int3)(0);
         for (int i = 0; i < nodes.x; i++) {
@@ -98,7 +98,7 @@ __kernel void fit(__global const float *values, int3 fine, int3 cells, int3 node
             weight[c] = (c & 4 ? at.x : 1 - at.x) * (c & 2 ? at.y : 1 - at.y) *
                         (c & 1 ? at.z : 1 - at.z);
         float step = INFINITY, pivot = 1.0f;
-        int leaving = 0; // some pivot is large enough: they sum to 1
+        int leaving = 0; // at least one pivot is large enough: they sum to 1
 #pragma unroll
         for (int n = 0; n < CORNERS; n++) {
             entering[n] = 0.0f;

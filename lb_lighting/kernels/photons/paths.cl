@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel under an
-// upper bound of the density, and meets real and virtual particles. The twin is
+// The steps of free path sampling (paper 2): a ray goes from super-voxel to super-voxel and meets
+// real and virtual particles, which add up to the majorant of the density. The twin is
 // transport/photons/walk.py.
 //
 // Lengths are in fine cells. Built after photons/random.cl with
 //   RAY_MARCH or WOODCOCK       else super-voxels
-//   POLYNOMIAL                  the bound of a super-voxel is trilinear, else constant
+//   POLYNOMIAL                  the majorant of a super-voxel is trilinear, else constant
 //   LINEAR                      the density is linear between nodes, else constant in fine cells
 //   PERLIN_MEDIUM               the density is a function, that of photons/perlin.cl, built before this
 
 typedef struct {
-    __global const float *density; // fine cells, or one node more along each edge where LINEAR
-    __global const float *bound;   // one value a super-voxel, or eight where POLYNOMIAL
+    __global const float *density; // fine cells, or nodes, one more along each edge, if LINEAR
+    __global const float *bound;   // majorants: one value for each super-voxel, eight if POLYNOMIAL
     int nx, ny, nz;                // fine cells
     int mx, my, mz;                // super-voxels
     int size;                      // fine cells along an edge of a super-voxel
     float lower, upper_x, upper_y, upper_z;
     float majorant;                // of the whole domain
-    float per_depth;               // density times fine cells in an optical depth of 1
+    float per_depth;               // density times length in fine cells per unit optical depth
 #ifdef PERLIN_MEDIUM
     Perlin noise;
 #endif
@@ -53,32 +53,32 @@ typedef struct {
 #endif
 
 typedef struct {
-    float ox, oy, oz;    // where the flight began
+    float ox, oy, oz;    // where the flight started
     float dx, dy, dz;    // unit vector
     float ix, iy, iz;    // 1 / d, finite
-    float t, end;        // how far it has come; where it leaves the domain
+    float t, end;        // its length so far; where it leaves the domain
     float tx, ty, tz;    // where it crosses the next face of its super-voxel, by axis
     int i, j, k;         // super-voxel
     float depth;         // density times length until the next particle
-    float limit;         // the bound in this super-voxel, where it is constant
-    int violated;        // whether a density was found over its bound
+    float limit;         // the majorant in this super-voxel, if it is constant
+    int violated;        // whether a density exceeded its majorant
 } Path;
 
-// What a step of a path ended with.
+// The event that ended a step of a path.
 #define CROSSED 0  // on the border of two super-voxels
 #define VIRTUAL 1  // at a virtual particle
 #define COLLIDED 2 // at a real one
 #define LEFT 3     // outside
 
-#define TOLERATED 1.0001f // of a density over its bound: more than rounding explains
-#define SLOWEST 1e-18f // a direction's component closer to zero than this is taken for this
+#define TOLERATED 1.0001f // largest ratio of density to majorant; rounding explains less
+#define SLOWEST 1e-18f // components of a direction closer to zero are replaced by this
 
 static float inverse(const float d)
 {
     return 1.0f / (d >= 0.0f ? fmax(d, SLOWEST) : fmin(d, -SLOWEST));
 }
 
-// Where a flight crosses the face at which cell `cell` ends in its direction.
+// Where a flight crosses the face of cell `cell` that is ahead.
 static float crossing(const int cell, const int size, const float o, const float d, const float i)
 {
     return ((float)((cell + (d >= 0.0f)) * size) - o) * i;
@@ -101,7 +101,7 @@ static float next_depth(const Grid g, Random *random)
     return -log(random_next(random)) * g.per_depth;
 }
 
-// A new path: number `n` of `count` rays, whose origins and directions lie component by component.
+// A new path: ray `n` of `count`, whose origins and directions are stored component by component.
 static void enter(Path *p, const Grid g, __global const float *rays, const int count, const int n)
 {
     p->ox = rays[n];
@@ -135,7 +135,7 @@ static void start_flight(Path *p, const Grid g, Random *random)
     p->limit = constant_bound(p, g);
 }
 
-// The next super-voxel; 0 where there is none.
+// Go to the next super-voxel; 0 if there is none.
 static int cross_face(Path *p, const Grid g)
 {
     const int along_x = p->tx <= fmin(p->ty, p->tz);
@@ -154,7 +154,7 @@ static int cross_face(Path *p, const Grid g)
     return inside;
 }
 
-// The fine cell of a coordinate; never one outside the super-voxel, whose bound must hold there.
+// The fine cell of a coordinate, always within the super-voxel, whose majorant must hold there.
 static int fine_cell(const float x, const int cell, const int size, const int n)
 {
 #ifdef WOODCOCK
@@ -164,13 +164,13 @@ static int fine_cell(const float x, const int cell, const int size, const int n)
 #endif
 }
 
-// Whether the density where the flight has come to is over `threshold`; `bound` is for the check.
+// Whether the density at the flight's present point exceeds `threshold`; `bound` is checked, too.
 static int denser(Path *p, const Grid g, const float threshold, const float bound)
 {
     const float x = p->ox + p->t * p->dx, y = p->oy + p->t * p->dy, z = p->oz + p->t * p->dz;
 #ifdef PERLIN_MEDIUM
     const int real = perlin_exceeds(g.noise, x, y, z, threshold);
-    if (real) // as it is wherever the density is over its bound, too
+    if (real) // true whenever the density exceeds its majorant
         p->violated |= perlin_exceeds(g.noise, x, y, z, bound * TOLERATED);
     return real;
 #else
@@ -196,7 +196,7 @@ static int denser(Path *p, const Grid g, const float threshold, const float boun
 }
 
 #ifdef POLYNOMIAL
-// The bound along a flight, a cubic in the length from here, and its integral.
+// The majorant along a flight, a cubic in the length from here, and its integral.
 typedef struct {
     float c0, c1, c2, c3;
     float half_c1, third_c2, quarter_c3;
@@ -216,7 +216,7 @@ static float cubic_integral(const Cubic c, const float s)
 static void coefficients(const Path *p, const Grid g, float *a)
 {
 #ifdef RAY_MARCH
-    // A super-voxel is a fine cell here, and the bound the density itself.
+    // Here a super-voxel is a fine cell, and the majorant is the density itself.
     const int row = g.nz + 1, plane = (g.ny + 1) * row;
     __global const float *n = g.density + p->i * plane + p->j * row + p->k;
     a[0] = n[0];
@@ -257,8 +257,8 @@ static Cubic bound_ahead(const Path *p, const Grid g)
     return c;
 }
 
-// Where the integral of a cubic that is nowhere negative reaches `depth`, in [0, length]: Newton's
-// method in a bracket, which is halved where a step would leave it, down to what float32 resolves.
+// Where the integral of a non-negative cubic reaches `depth`, in [0, length]: Newton's method in a
+// bracket, which is halved if a step would leave it, down to the resolution of float32.
 static float cubic_solve(const Cubic c, const float depth, const float length, const float whole)
 {
     float low = 0.0f, high = length;
@@ -276,7 +276,7 @@ static float cubic_solve(const Cubic c, const float depth, const float length, c
 }
 #endif
 
-// Follow the flight to its next event; they are listed above.
+// Follow the flight to its next event, one of those listed above.
 static int advance(Path *p, const Grid g, Random *random)
 {
 #ifdef WOODCOCK
@@ -319,7 +319,7 @@ static int advance(Path *p, const Grid g, Random *random)
     if (next >= p->end)
         return LEFT;
 #ifdef WOODCOCK
-    return CROSSED; // not reached: the end is the only thing that is next
+    return CROSSED; // not reached: a flight's only next face is the end
 #else
     return cross_face(p, g) ? CROSSED : LEFT;
 #endif

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The density of fractal noise, which is never stored. transport/photons/perlin.py describes it and is
-// the twin. There is no kernel here: sources that need the functions are built after this one, and
-// this one after photons/random.cl.
+// the twin. This file has no kernel: sources that need its functions are built after it, and it is
+// built after photons/random.cl.
 //
 // A kernel takes PERLIN_PARAMETERS, in the order of PerlinMedium.device_arguments, and calls the
 // functions with PERLIN. Positions are in cells of the finest lattice; an octave's scale is a power
-// of two, so scaling them loses nothing.
+// of two, so scaling them is exact.
 
 typedef struct {
     uint seed;
     int frame;         // time is frame + frac
     float frac;
-    int octaves;       // the cells of octave i are 2^(octaves - 1 - i) fine cells an edge
+    int octaves;       // the cells of octave i have edges of 2^(octaves - 1 - i) fine cells
     float amplitude;   // of octave 0; all of them sum to 1
-    float persistence; // amplitude of an octave over that of the one before
+    float persistence; // amplitude of an octave over that of the previous one
     float cutoff;
     float power;
 } Perlin;
@@ -64,8 +64,8 @@ float perlin_frame(const uint seed, const int octave, const int frame, const flo
                           fx);
 }
 
-// The noise of one octave. It is a loop, because compilers that vectorise a condition would compute
-// both frames, at double the cost.
+// The noise of one octave. It is a loop because compilers that vectorise a condition would compute
+// both frames, at twice the cost.
 float perlin_octave(const Perlin m, const int octave, const float x, const float y, const float z)
 {
     const int last = m.frame + (m.frac > 0.0f);
@@ -96,9 +96,9 @@ float perlin_density(const Perlin m, const float x, const float y, const float z
     return powr(fmax(0.0f, (noise - m.cutoff) / (1.0f - m.cutoff)), m.power);
 }
 
-// Whether the density is over `threshold` (0 or more). The result equals a comparison of
-// perlin_density, but it compares the noise, which a few octaves decide most of the time: the other
-// octaves add between 0 and the sum of their amplitudes.
+// Whether the density exceeds `threshold` (0 or more). The result equals a comparison of
+// perlin_density, but it compares the noise, for which a few octaves usually suffice: the others
+// add between 0 and the sum of their amplitudes.
 int perlin_exceeds(const Perlin m, const float x, const float y, const float z,
                    const float threshold)
 {

@@ -5,14 +5,14 @@
 //   KEEP_FLUX    tally the flux, too
 //   OCCLUSION    voxels are opaque; fine cells are voxels
 //
-// Scores are integers in units of UNIT, so their sum does not depend on the order: a seed gives the
-// same result in whichever order the device runs its work. A tally has 64 bits in two words of 32, which
+// Scores are integers in units of UNIT, so their sum does not depend on the order in which a device
+// works: a seed always gives the same result. A tally has 64 bits in two words of 32 bits, which
 // every device can add atomically. All lower words come first in memory, because the upper ones are
 // rarely needed. Quantities that are scored together lie side by side.
 
 #define UNIT 0x1p24f // units in a weight of 1; a weight of up to 64 fits a signed word
 
-// What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
+// The contents of a voxel's tallies. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
 // Uncollided light has one tally with KEEP_DIRECT, its weight. Scattered or reflected light has:
 #define WEIGHT 0 // its weight
 #define FLUX 1   // three, with KEEP_FLUX: weight times direction
@@ -33,7 +33,7 @@
 #define LEFT_THROUGH 1 // six: faces -x, +x, -y, +y, -z, +z
 #define HANDOVER 7     // the weight of photons that become a collision source
 #define LOST 8         // the weight of photons that took too many steps
-#define LOST_PHOTONS 9 // their number; the sums below are numbers, too
+#define LOST_PHOTONS 9 // their number; the sums below are numbers as well
 #define VIOLATIONS 10
 #define COLLISIONS 11
 #define SUMS 12
@@ -59,7 +59,7 @@ static void add_vector(__global uint *tally, const size_t upper, const float wei
     add(tally + 2, upper, weight * (0.5f * z + 0.5f));
 }
 
-// Where the tallies lie: voxel (0, 0, 0) begins at `lower`, 1 / per_cell fine cells an edge.
+// The grid of tallies: voxel (0, 0, 0) begins at `lower`; edges are 1 / per_cell fine cells.
 typedef struct {
     int nx, ny, nz;
     float lower, per_cell;
@@ -76,7 +76,7 @@ typedef struct {
             (size_t)tally_nx *tally_ny *tally_nz                                           \
     }
 
-// The voxel where a flight is at `t`, and its place from the voxel's lower corner.
+// The voxel of a flight at `t`, and its place relative to the voxel's lower corner.
 static size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, float *y, float *z)
 {
     *x = (p->ox + t * p->dx - v.lower) * v.per_cell;
@@ -91,7 +91,7 @@ static size_t voxel_at(const Path *p, const Tallies v, const float t, float *x, 
     return ((size_t)i * v.ny + j) * v.nz + k;
 }
 
-// Score a flight up to its present point. Returns where the next score is due.
+// Score a flight up to its present point. Returns the place of the next score.
 static float score(const Path *p, const Tallies v, float at, const float spacing,
                    const float weight, const int turned, __global uint *direct,
                    __global uint *scattered)
@@ -137,13 +137,13 @@ static int face(const Path *p, const Grid g)
 }
 
 // photons    7 x count: origin in fine cells, unit direction, weight from 0 to 64
-// copies     paths that begin as each photon does
+// copies     paths that start from each photon
 // first      number of the first path
 // spacing    between two scores of a path, the first at random: the expected score of a voxel is
 //            the length of the path in it, over `spacing` (a track length estimator)
 // last       the collision at which a photon becomes a collision source, or 0
-// occlusion  share of the light that each voxel stops; its albedo is the share of that which it
-//            reflects. Read only with OCCLUSION
+// occlusion  share of the light that each voxel stops; its albedo is the reflected share of the
+//            stopped light. Read only with OCCLUSION
 __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, const int count,
                             const int copies, const uint seed, const uint first,
                             const int most_steps, const float albedo, const float mean_cosine,
@@ -232,8 +232,8 @@ __kernel void trace_photons(GRID_PARAMETERS, __global const float *photons, cons
         sums[SUMS * get_global_id(0) + n] += sum[n];
 }
 
-// After batch number `batch`, counted from 1: add its score, which is the tally less `before`, to
-// the sum of squared deviations from the mean of the batches (Welford 1962).
+// After batch number `batch`, counted from 1: add its score, the tally minus `before`, to the sum
+// of squared deviations from the mean of the batches (Welford 1962).
 __kernel void take_batch(__global const uint *scattered, const int batch, __global ulong *before,
                          __global float *deviation)
 {

@@ -22,11 +22,11 @@ static Random random_stream(const uint seed, const uint index)
     r.a = mix_bits(index + 0x9e3779b9u * seed);
     r.b = mix_bits(r.a ^ index ^ 0x632be5abu);
     r.c = mix_bits(r.b + 0x9e3779b9u);
-    r.d = mix_bits(r.c ^ seed) | 1u; // the state may not be all zero
+    r.d = mix_bits(r.c ^ seed) | 1u; // the state must not be all zero
     return r;
 }
 
-// Uniform in (0, 1), one of 2^23 values: neither end is among them, so log() is finite.
+// Uniform in (0, 1), one of 2^23 values that exclude both ends, so log() is finite.
 static float random_next(Random *r)
 {
     const uint bits = rotate(r->a + r->d, 7u) + r->a;

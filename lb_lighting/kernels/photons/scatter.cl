@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What turns a path: the medium, which scatters, and opaque voxels, which stop and reflect.
+// The turns of a path: scattering by the medium, and reflection by opaque voxels that stop it.
 // Built after photons/paths.cl with
-//   OCCLUSION  voxels are opaque; fine cells are the voxels then
+//   OCCLUSION  voxels are opaque; fine cells are then voxels
 // transport/photons/walk.py is the twin.
 
-// Go to where the flight has come.
+// Move the origin to the flight's present point.
 static void arrive(Path *p, const Grid g)
 {
     p->ox = clamp(p->ox + p->t * p->dx, g.lower, g.upper_x);
@@ -12,7 +12,7 @@ static void arrive(Path *p, const Grid g)
     p->oz = clamp(p->oz + p->t * p->dz, g.lower, g.upper_z);
 }
 
-// Turn (dx, dy, dz) by a Henyey-Greenstein angle (Henyey and Greenstein 1941).
+// Scatter (dx, dy, dz) by the phase function of Henyey and Greenstein (1941).
 static void turn(Path *p, Random *random, const float mean_cosine)
 {
     const float even = 2.0f * random_next(random) - 1.0f;
@@ -40,8 +40,8 @@ static void turn(Path *p, Random *random, const float mean_cosine)
     p->dz = z * scale;
 }
 
-// Where a flight is among opaque voxels, and what stopped it last. The voxel is carried along, not
-// found from coordinates: rounding must not bring a photon through a wall.
+// The position of a flight among opaque voxels, and the one that stopped it last. The voxel is
+// tracked, not computed from coordinates: rounding must not take a photon through a wall.
 typedef struct {
     int i, j, k; // the voxel
     int axis;    // of the face at which the flight was stopped
@@ -55,8 +55,8 @@ static Place place_of(const Path *p, const Grid g)
                    clamp((int)p->oz, 0, g.nz - 1), 0, 0};
 }
 
-// Follow a flight from voxel to voxel up to where it has come, and cut it at the first face that
-// stops it; whether one does.
+// Follow a flight from voxel to voxel up to its present point, and cut it at the first face that
+// stops it. Returns whether there is one.
 static int stop(Path *p, const Grid g, Random *random, __global const float *occlusion,
                 Place *at)
 {
@@ -87,7 +87,7 @@ static int stop(Path *p, const Grid g, Random *random, __global const float *occ
     }
 }
 
-// Go to the face at which the flight was stopped, on the side that it came from.
+// Move the origin to the face that stopped the flight, on the side that it came from.
 static void land(Path *p, const Grid g, const Place at)
 {
     arrive(p, g);
@@ -97,12 +97,12 @@ static void land(Path *p, const Grid g, const Place at)
         p->oy = at.j + (p->dy >= 0.0f);
     else
         p->oz = at.k + (p->dz >= 0.0f);
-    p->i = at.i / g.size; // `advance` may have gone on behind the face
+    p->i = at.i / g.size; // `advance` may have continued behind the face
     p->j = at.j / g.size;
     p->k = at.k / g.size;
 }
 
-// Turn (dx, dy, dz) back from that face, by the cosine about its normal (Lambert).
+// Reflect (dx, dy, dz) from that face, cosine-distributed about its normal (Lambert).
 static void turn_back(Path *p, Random *random, const Place at)
 {
     const float squared = random_next(random);

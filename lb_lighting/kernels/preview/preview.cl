@@ -3,16 +3,16 @@
 // photons/scatter.cl, with
 //   EMISSION  voxels emit; fine cells are voxels
 //
-// At each collision a free path is drawn towards each light, and the light counts if it arrives. So a
-// path alternates between its own flight and one flight to each light. Both kinds take their steps in
-// one loop, so that all lanes of a vector stay busy.
+// At each collision a free path is drawn towards each light, and the light counts if the path
+// arrives. A path thus alternates between its own flight and one flight to each light. Both kinds
+// share one loop, so that all lanes of a vector stay busy.
 //
 // x, y and z of a float4 are three bands.
 
 // The radiance that a collision sends back along the flight `p` if nothing blocks the light; turns
 // `p` to the light. A light is eight numbers: the vector to a sun, or the position of a point light;
-// whether it is a point light; and its irradiance, W/m^2, which of a point light is that one fine
-// cell away. `face` is the axis of the opaque face that was met, or -1 in the medium.
+// whether it is a point light; and its irradiance, W/m^2, for a point light at a distance of one
+// fine cell. `face` is the axis of the opaque face that was met, or -1 in the medium.
 static float4 aim(Path *p, const float8 light, const float mean_cosine, const int face,
                   float *distance)
 {
@@ -28,7 +28,7 @@ static float4 aim(Path *p, const float8 light, const float mean_cosine, const in
         const float g = mean_cosine;
         const float base = fmax(1.0f + g * g - 2.0f * g * cosine, 1e-12f);
         share = (1.0f - g * g) / (4.0f * M_PI_F * base * sqrt(base));
-    } else { // Lambert, and nothing from behind
+    } else { // Lambert; no light from behind
         const float out = face == 0 ? lx : face == 1 ? ly : lz;
         const float in = face == 0 ? p->dx : face == 1 ? p->dy : p->dz;
         share = fmax(in >= 0.0f ? -out : out, 0.0f) / M_PI_F;
@@ -58,7 +58,7 @@ static float glow(const Path *p, const Grid g, float at, const float4 weight,
 }
 
 // rays       6 x count: where they enter the domain, in fine cells, and unit directions
-// numbers    of the rays, which choose their random numbers
+// numbers    of the rays, which select their random numbers
 // most_collisions  of a path; it ends there
 // occlusion  of each voxel, and four numbers of its albedo; see photons/photons.cl
 // seen       4 x count: light, W/(m^2 sr), and whether the ray met anything

@@ -3,7 +3,7 @@
 
 #define THIN 0.5f // optical depth up to which series are used
 
-// What a path of optical depth t does to light, finite down to t = 0.
+// Attenuation along a path of optical depth t, finite down to t = 0.
 typedef struct {
     float transmittance;      // T = exp(-t)
     float mean_transmittance; // m = (1 - T) / t

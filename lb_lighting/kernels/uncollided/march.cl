@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Rays of lamps travel from voxel to voxel (Amanatides and Woo 1987) and score their first
+// Rays of lamps go from voxel to voxel (Amanatides and Woo 1987) and score their first
 // collisions; transport/uncollided/march.py is the twin. Built after attenuation.cl, with
 //   OCCLUDED    opaque matter in voxels stops light and reflects part of it
 //
 // Lengths are in voxel edges. A ray's place in a voxel runs along each axis from 0 where a ray of
-// this direction enters to 1 where it leaves; it starts again in each voxel, so rounding errors do
-// not grow along the ray. Tallies are signed 64-bit integers in two words of 32 bits, which every
+// this direction enters to 1 where it leaves; it restarts in each voxel, so rounding errors do not
+// grow along the ray. Tallies are signed 64-bit integers in two words of 32 bits, which every
 // device can add atomically, so sums do not depend on the order. All lower words come first in
 // memory.
 
@@ -80,7 +80,7 @@ __kernel void march(const int nx, const int ny, const int nz, __global const flo
         const float az = fmax(fabs(dz), SLOWEST), iz = 1.0f / az, sz = dz < 0 ? -1.0f : 1.0f;
         int voxel = starts[ray];
         const int k = voxel % nz, j = voxel / nz % ny, i = voxel / nz / ny;
-        int ahead_x = dx < 0 ? i : nx - 1 - i; // voxels until the domain ends
+        int ahead_x = dx < 0 ? i : nx - 1 - i; // voxels up to the end of the domain
         int ahead_y = dy < 0 ? j : ny - 1 - j;
         int ahead_z = dz < 0 ? k : nz - 1 - k;
         const int next_x = dx < 0 ? -ny * nz : ny * nz, next_y = dy < 0 ? -nz : nz;

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Parallel beams through voxels, layer by layer; transport/uncollided/sweep.py is the twin. Built
 // after attenuation.cl, with
-//   DIRECTED    beams have different directions, which are tallied, too
+//   DIRECTED    beams have different directions, which are tallied as well
 //   OCCLUDED    opaque matter in voxels stops light and reflects part of it
 //   EMITTING    rays start with a weight of 0 and gain the emission of the voxels
 //   APART       each beam has an emission and a score to itself; not with OCCLUDED
 //
 // Several beams are sent at once, all from the same side. Each column of voxels has `count` rays of
-// each beam. In a layer, all rays of one number cross voxels alike: each starts in a voxel and may
+// each beam. In a layer, all rays of one number take the same path: each starts in a voxel and may
 // cross to the next voxel along u, along v, or along both, one after the other. Voxels are counted
 // in the direction of the beam.
 //
@@ -95,7 +95,7 @@ static void cross(Tally *sum, float weight, const Voxel voxel, const float way, 
     float placed = total * way * a.collision_place;
     weight *= a.transmittance;
 #ifdef EMITTING
-    // Light emitted along the path: the share 1 - mean_transmittance collides, further along.
+    // Light emitted along the path: the share 1 - mean_transmittance collides farther along.
     const float emitted = voxel.glow * way, mean = a.mean_transmittance;
     const float score = emitted * (edge > 1.0f ? 1.0f - mean : way * a.source_score);
     total += score;
@@ -273,7 +273,7 @@ __kernel void tally(LAYER, __global const float *rays, __global float *tallies, 
 #endif
 }
 
-// The weights of rays after the layer, of rays that start in the box or in the row before it.
+// The weights after the layer of rays that start in the box or in the row before it.
 __kernel void pass(LAYER, __global float *rays)
 {
     const int ray = (int)get_global_id(2), beam = ray / COUNT;

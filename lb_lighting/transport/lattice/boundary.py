@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reflection where light leaves a medium for good (docs/theory/physics.md)."""
+"""Reflection where light leaves a medium and cannot return (docs/theory/physics.md)."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ _EXTRAPOLATED = 2 / 3  # extrapolation length, in transport mean free paths
 _OUTWARD = float(WEIGHTS[MOVING[:, 0] > 0].sum())
 _SLOPE = 6 * _EXTRAPOLATED * _OUTWARD / MEAN_LENGTH
 REFLECTED = (_SLOPE - 1) / (_SLOPE + 1)
-"""The share of light that an open face of a scattering medium reflects (negative: more is let out).
+"""The share of light that an open face of a scattering medium reflects (negative: more leaves).
 It sets the distance at which the fluence extrapolates to zero."""
 
 
@@ -42,7 +42,7 @@ def reflection(
     cells: Cells,
     edge: float | None = None,
 ) -> tuple[Floats, dict[int, tuple[Integers, Floats]]]:
-    """(outside, {face: (cells, shares)}): where light that leaves is reflected.
+    """(outside, {face: (cells, shares)}): the places where leaving light is reflected.
 
     edge     that of `NumpyLattice`
     outside  (count,): the share reflected by each cell outside of the domain, the mean over the

@@ -3,8 +3,8 @@
 
 The limit of the iteration is unknown, so its error is estimated from the rate q at which the
 changes between checks shrink: all changes still to come add up to q / (1 - q) times the last one.
-A correction removes the part that would shrink slowly, and the changes after it carry no
-information about what it left; that is estimated in the same way, from one correction to the next.
+A correction removes the part that would shrink slowly. The changes after it carry no information
+about the error that it leaves; this is estimated in the same way, from successive corrections.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ import numpy as np
 from .multigrid import Level
 
 _CHECK_EVERY = 8  # steps between two checks
-_LAYERS, _FEW = 16, 48  # layers that a check reads; all, up to the second: it costs half a step
-_RATES = 3  # rates that are kept: the slowest counts
+_LAYERS, _FEW = 16, 48  # layers that a check reads, for half a step; all, if fewer than _FEW
+_RATES = 3  # last rates, of which the slowest is used
 _NEVER = 1 - 1e-6  # changes that shrink no faster than this do not shrink
-_FAR = 60  # steps still to come from which a correction, which costs about 24, is worth it
-_LEFT = 0.3  # share of a correction that is assumed to be left, at least; of the first one, 0.5
-_USELESS = 0.6  # corrections that shrink no faster than this are not worth it
+_FAR = 60  # remaining steps beyond which a correction, which costs about 24, is worthwhile
+_LEFT = 0.3  # least share of a correction assumed to remain as error; of the first one, 0.5
+_USELESS = 0.6  # corrections that shrink no faster than this are not worthwhile
 
 
 @dataclass
@@ -41,7 +41,7 @@ class ConvergenceMonitor:
         return float(np.linalg.norm(self.light - before)) / (norm or 1.0)
 
     def restart(self) -> float:
-        """The same, after something else than steps has changed the light."""
+        """As `change`, after something other than steps has changed the light."""
         self.changes.clear()
         return self.change()
 
@@ -67,8 +67,8 @@ class CorrectionPolicy:
     enabled  whether corrections are still useful
     count    of corrections
     size     relative change by the last one
-    left     relative error that is left where steps no longer show it
-    before   change by the steps before the last correction, until those after it are known
+    left     relative error that remains and that steps do not show
+    before   change by the steps before the last correction, until the steps after it are known
     """
 
     enabled: bool
@@ -78,7 +78,7 @@ class CorrectionPolicy:
     before: float | None = None
 
     def note(self, size: float, before: float) -> None:
-        """Take note of a correction of this size, and the change by the steps before it."""
+        """Record a correction's size, and the change by the steps before it."""
         self.before = before
         kept = max(size / self.size, _LEFT) if self.count else 0.5
         self.count, self.size = self.count + 1, size
@@ -89,8 +89,8 @@ class CorrectionPolicy:
     def made_it_worse(self, change: float) -> bool:
         """Whether the first steps after a correction change more than the last ones before it.
 
-        Most of a bad correction is still there after them, and the more of it, the more slowly it
-        would disappear.
+        Most of a bad correction is still present after these steps; the larger this part, the more
+        slowly it would disappear.
         """
         before, self.before = self.before, None
         return before is not None and change > before
@@ -114,7 +114,7 @@ def converge(
     while steps < most_steps:
         report(error)
 
-        # Take some steps, and take a correction back if they show that it did harm.
+        # Take some steps, and undo the last correction if they show that it did harm.
         lattice.advance(min(_CHECK_EVERY, most_steps - steps))
         steps = min(steps + _CHECK_EVERY, most_steps)
         change = monitor.change()
@@ -125,7 +125,7 @@ def converge(
             continue
         monitor.changes.append(change)
 
-        # Estimate the error once there are rates enough: after a correction, fewer suffice.
+        # Estimate the error once there are enough rates: after a correction, fewer suffice.
         rates = len(monitor.rates)
         if rates < (1 if policy.left else _RATES):
             continue
@@ -135,7 +135,7 @@ def converge(
             if error <= tolerance:
                 break
 
-        # Correct where many steps are left; never last, as only further steps can check it.
+        # Correct if many steps remain; never at the end, as only further steps can check it.
         helps = ahead > _FAR or left <= tolerance < left + policy.left
         if policy.enabled and helps and most_steps - steps > 2 * _CHECK_EVERY:
             steps += level.correct()

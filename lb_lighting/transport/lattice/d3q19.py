@@ -2,8 +2,8 @@
 """The lattice D3Q19 of paper 1, section 3: its directions and weights.
 
 Direction 0 rests; 1 to 6 run along the axes; 7 to 18 along the diagonals of the faces.
-The 18 moving ones are the 24 nearest neighbours in four dimensions, projected to three,
-which is why the axial ones weigh double.
+The 18 moving ones are the 24 nearest neighbours in four dimensions, projected to three; this
+is why the axial ones have twice the weight.
 """
 
 from itertools import combinations, product

@@ -31,7 +31,7 @@ from .layout import (
 
 _OF_AXES = float((WEIGHTS * LENGTHS)[LENGTHS == 1].sum()) / MEAN_LENGTH
 DIAGONAL_BLOCKING = (1.5 - _OF_AXES) / (1 - _OF_AXES) * np.sqrt(2) - 2
-"""How many voxels beside a diagonal, over 1, light on it meets. With this number light of all
+"""Light on a diagonal meets this many voxels beside it, plus 1. With this value, light of all
 directions enters 3/2 voxels for each voxel's edge, as straight lines of all directions do."""
 
 
@@ -69,7 +69,7 @@ def rates(depth: Floats, albedo: float, g: float) -> tuple[Floats, Floats, Float
 
 
 def _by_direction(depth: Floats | float) -> Floats:
-    """(18, ...): a depth between two centres."""
+    """(18, ...): the optical depth between two centres, by direction."""
     return np.multiply.outer(LENGTHS, depth)
 
 
@@ -103,7 +103,7 @@ class NumpyLattice:
         depth = self.cells.flat(depth)
         self.even, self.odd, self.absorbed = rates(depth, albedo, g)
         self.transport_depth = depth * (1 - albedo * g)
-        # Divided by the depth of a voxel, so that they are finite in empty ones.
+        # Divided by the depth of a voxel, to be finite in empty ones.
         self.drifted = _by_direction(1.0)[:, None] / (1 + _by_direction(self.transport_depth) / 2)
         self.lingered = _by_direction(1.0)[:, None] / (1 + _by_direction(depth * (1 - albedo)) / 2)
         # The weights of isotropic light: the rate of collisions, or the length in empty voxels.
@@ -168,10 +168,10 @@ class NumpyLattice:
         return arrived if self.occluders is None else self.occluders.met(arrived)
 
     def restrict(self, coarser: "NumpyLattice", factor: float) -> None:
-        """Add a factor times the light that streamed last to the source of a coarser lattice.
+        """Add a factor times the light that streamed last to a coarser lattice's source.
 
-        The odd part carries light by (1 / s + 1 / 2) lengths of a voxel, s its transport depth,
-        before it relaxes: the restriction keeps that distance.
+        The odd part carries light by 1 / s + 1 / 2 voxels, where s is a voxel's transport depth,
+        before it relaxes; the restriction preserves this distance.
         """
         sent = [np.roll(f, -step) for f, step in zip(self.light, self.steps, strict=True)]
         out = self.cells.inside(np.array(sent))
@@ -203,7 +203,7 @@ class NumpyLattice:
         return np.multiply.outer(WEIGHTS, np.sum(self.pull * f, axis=0))
 
     def fluence(self, every: int = 1) -> Floats:
-        """(nx, ny, nz) W/m^2 of every n-th layer along x. Times the absorption depth it is the
+        """(nx, ny, nz) W/m^2, of every n-th layer along x. Times the absorption depth, it is the
         power that the steps absorb."""
         passing = self._isotropic(self.light) + self.emitted / 2
         return self.cells.inside(np.sum(passing * self.lingered, axis=0))[::every]
@@ -214,8 +214,8 @@ class NumpyLattice:
         return self.cells.inside(MOVING.T.astype(float) @ passing)
 
     def leaving(self) -> Iterator[Floats]:
-        """Yield for each direction (nx, ny, nz) W/m^2: light that streamed in the last step, by the
-        voxel that it left. Light that leaves the domain is less by what is reflected."""
+        """Yield for each direction (nx, ny, nz) W/m^2: the light that streamed in the last step, by
+        the voxel that it left. Light that leaves the domain excludes the reflected part."""
         for light, step in zip(self.light, self.steps, strict=True):
             yield self.cells.inside(np.roll((1 - self.outside) * light, -step))
 
@@ -251,8 +251,8 @@ def interpolate(values: Floats, shape: tuple[int, ...]) -> Floats:
 class _Occluders:
     """Opaque voxels, which stop and reflect light on its way from cell to cell.
 
-    Row m of the arrays (18, count) is for light that arrives at a cell along m. Nothing is stopped
-    on the way out of the domain, nor of light that its faces reflect.
+    Row m of the arrays (18, count) is for light that arrives at a cell along m. Light on its way
+    out of the domain is not stopped, and neither is light that the domain's faces reflect.
 
     passed    the share that arrives
     back      the share that is reflected
@@ -294,10 +294,10 @@ class _Occluders:
         self.reflected = self.cells.flat(dark if reflected is None else reflected)
 
     def met(self, arriving: Floats) -> Floats:
-        """(18, count): the light that arrives, from the light that would arrive without them.
+        """(18, count): the light that arrives, from the light that would arrive without occluders.
 
-        Light that they reflect into a cell leaves it evenly in all directions away from them:
-        reflected straight back, it would oscillate for ever between white walls.
+        Light that occluders reflect into a cell leaves it evenly in all directions away from them.
+        Reflected straight back, it would oscillate forever between white walls.
         """
         self.stopped = float(np.sum((1 - self.passed - self.back) * arriving))
         sent = [np.roll(f, -step) for f, step in zip(arriving, self.steps, strict=True)]

@@ -272,10 +272,10 @@ class _Occluders:
 
 
 def _stride(cells: Cells) -> int:
-    """Floats from one direction's light to the next. Guards between them hold what cells at either
-    end read beyond it.
+    """Floats from one direction's light to the next. Between them are guards, which the cells at
+    either end read.
 
-    Never a multiple of 1024: then caches could hold only few of the 18 directions at a time.
+    It is never a multiple of 1024, with which caches could hold only a few directions at a time.
     """
     floats = cells.count + -(-cells.first // 16) * 16
     return floats + 16 if floats % 1024 == 0 else floats

@@ -28,7 +28,7 @@ def _weights() -> Floats:
 
 
 WEIGHTS = _weights()
-"""(18,), w_m, the shares of isotropic light. In free flight light crosses a voxel over the length
+"""(18,), w_m, the shares of isotropic light. In free flight, light crosses a voxel over the length
 l_m; w_m l_m has the moments of the sphere up to the fourth order."""
 
 MEAN_LENGTH = float(WEIGHTS @ LENGTHS)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Multigrid: coarser lattices, on which light crosses the domain in fewer steps.
 
-A step carries light by one voxel: on a lattice of half the resolution twice as far, for an eighth
-of the work. The residual of the fine lattice is restricted to a source of the coarse one; the
-coarse solution is nearly all of the error, is prolongated and added. The coarse lattice is
-corrected in the same way. (The correction scheme of A. Brandt, "Multi-level adaptive solutions
-to boundary-value problems", 1977. docs/theory/physics.md, "Few steps", has the measurements.)
+A step carries light by one voxel: on a lattice of half the resolution, this is twice as far, for an
+eighth of the work. The residual of the fine lattice is restricted to a source of the coarse one.
+The coarse solution is nearly all of the error; it is prolongated and added. The coarse lattice is
+corrected in the same way. This is the correction scheme of A. Brandt, "Multi-level adaptive
+solutions to boundary-value problems", 1977. docs/theory/physics.md, "Few steps", has the
+measurements.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ from ...arrays import Array, Floats
 from .lattice_numpy import sum_of_eight
 
 _SMALLEST = 8  # voxels, the longest edge that is not coarsened
-_BETWEEN = 2  # steps between the two restrictions: this averages out light that oscillates
+_BETWEEN = 2  # steps between the two restrictions, which average out oscillating light
 _SMOOTHING, _ON_COARSEST = 2, 32  # steps of coarser lattices: around corrections; of the coarsest
 _CORRECTIONS = 2  # of a coarser lattice at each visit: a W-cycle
 

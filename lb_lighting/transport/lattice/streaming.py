@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that has left the box of all matter, streamed through the rest of the domain.
 
-Outside of the box light never collides, and light that has left it along a direction of the lattice
-never comes back. So it is streamed once, after the solve.
+Outside the box, light never collides, and light that has left it along a direction of the lattice
+never returns. So it is streamed once, after the solve.
 """
 
 from typing import Any
@@ -33,11 +33,11 @@ def stream_on(lattice: Any, box: Box, scale: float, fluence: Floats, flux: Float
 
 
 class _Leaving:
-    """Light that leaves a box along a direction, in grids flipped to make that positive.
+    """Light that leaves a box along a direction, in grids flipped so that it is positive.
 
-    The axes that it moves along come first. It leaves through the last plane of the first axis, and
-    along a diagonal also through the last row of the second: these rows, one after the other, are
-    the light that crosses any plane further on, one row further in each plane.
+    The axes along which it moves come first. It leaves through the last plane of the first axis
+    and, along a diagonal, also through the last row of the second. These rows, in order, are
+    the light that crosses any later plane, shifted by one row per plane.
 
     light  (rows, ...) of a diagonal, else (...)
     """
@@ -65,7 +65,7 @@ class _Leaving:
         return np.moveaxis(flipped, self.axes, range(len(self.axes)))
 
     def add_to(self, grid: Floats, factor: float) -> None:
-        """Add it, times a factor, to a grid (nx, ny, nz) along its way."""
+        """Add the light, times a factor, to a grid (nx, ny, nz) along its path."""
         grid, light = self._turned(grid[self.beside]), self.light * factor
         if not self.diagonal:
             grid[self.end :] += light

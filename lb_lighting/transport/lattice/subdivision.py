@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How finely voxels that are too thick for the lattice have to be divided.
+"""The division of voxels that are too thick for the lattice.
 
 docs/theory/physics.md, "Voxels that are too thick", has the measurements.
 """
@@ -12,7 +12,7 @@ from ...errors import MediumError
 from ..medium import Medium
 
 # The edge of a voxel, weighted by density, above which voxels are divided: in transport mean free
-# paths, and in diffusion lengths.
+# paths and in diffusion lengths.
 _THICKEST, _DARKEST = 3.0, 0.9
 _MOST_PIECES = 4
 

@@ -18,17 +18,17 @@ type Directional = Callable[[Floats], Any]
 """A radiance in W/(m^2 sr) as a function of the unit vector towards the sky."""
 
 _AT_ONCE = 2**18  # rays in one piece of `Light.rays`
-# `Light.rays` of a light without rays of its own: their largest number; and their number for each
+# `Light.rays` of a light without regular rays: their largest number; and their number for each
 # voxel face on half of the domain's border, as a multiple of per_edge^2.
 _MOST_RAYS, _RAYS_A_FACE = 2**22, 4
 
 
 class Light(ABC):
-    """What lights a medium. Subclasses need `spectrum` and `emit`; other members have defaults.
+    """A light source. Subclasses need `spectrum` and `emit`; other members have defaults.
 
     Lights are values: they do not change, and methods that alter one return another light.
-    Derive from `DistantLight` or `LocalLight` to give a light beams or rays that are regular
-    instead of random: the error of its uncollided light is much smaller then.
+    Derive from `DistantLight` or `LocalLight` to give a light regular beams or rays instead of
+    random ones: the error of its uncollided light is then much smaller.
     """
 
     is_beam: ClassVar[bool] = False
@@ -117,7 +117,7 @@ class LocalLight(Light):
 
 
 def darkness(lights: Iterable[Light]) -> LightError:
-    """The LightError that says why a medium is dark."""
+    """The LightError that explains why a medium is dark."""
     if any(isinstance(light, LocalLight) and np.any(light.spectrum) for light in lights):
         return LightError(
             "There is no light on what is to be lit: no lamp shines on it; turn or move one, or "

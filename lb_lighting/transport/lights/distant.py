@@ -37,7 +37,7 @@ from .sampling import (
 )
 
 # Share of the photons of a sky given as a function that is distributed evenly over the sky, so that
-# light which the centres of its cells miss is sampled, too.
+# light missed by the centres of its cells is sampled as well.
 _ANYWHERE = 0.1
 # Of a sky: the number of suns that stand for it, over per_edge^2; and the per_edge of each, if no
 # edge of the domain has more than FEW_VOXELS voxels. Larger domains need fewer rays of each sun, as
@@ -53,8 +53,8 @@ class Sun(DistantLight):
     irradiance  W/m^2 on a surface that faces the sun, scalar or (bands,)
     shadow_density  (nx, ny, nz), replaces the medium's density for this sun's uncollided light; or
                 None. The medium's density is a mean over directions: horizontal leaves block more
-                of a sun overhead and less of a sun at the horizon. Photons ignore it: traced light
-                meets the medium's own density
+                of a sun overhead and less of a sun at the horizon. Photons ignore the shadow
+                density and meet that of the medium
     """
 
     is_beam = True
@@ -177,7 +177,7 @@ class Sky(DistantLight):
                 self.radiance, across, turn, medium, band
             )
             mean = irradiance.mean()
-            irradiance *= fluence / mean if mean else 0  # makes the few suns add up to the sky
+            irradiance *= fluence / mean if mean else 0  # so that the few suns add up to the sky
         else:
             towards = even_directions(np.arange(count), count)
             radiance = by_band(self.radiance, medium.bands)[band]
@@ -251,9 +251,9 @@ def _sampled_by_brightness(
 
 
 def _over_directions(radiance: Directional, probe: Floats) -> Directional:
-    """A sky's function for directions (n, 3): called once for all if it can be, else one by one.
+    """A sky's function for directions (n, 3): called once for all if possible, else one by one.
 
-    This is tried on the directions `probe`.
+    The directions `probe` show which.
     """
 
     def together(directions: Floats) -> Floats:

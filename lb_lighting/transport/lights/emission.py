@@ -17,7 +17,7 @@ from .sampling import (
 
 
 class Emission(DistantLight):
-    """The isotropic emission of a medium; `emit` and `suns` take that same medium.
+    """The isotropic emission of a medium; `emit` and `suns` must be given the same medium.
 
     medium  one with an `emission`, (bands, nx, ny, nz) W/m^3
     Raises LightError if it has none.
@@ -48,6 +48,6 @@ class Emission(DistantLight):
         return medium.domain.origin + (corner + within) * h, tilted(2 * tilt, turn), power
 
     def suns(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[Floats, Floats, int]:
-        """The suns of a uniform sky that sends as much light from all directions as a voxel with an
-        emission of 1 W/m^3 emits in all: their strengths, (n,), add up to 1 W/m^3."""
+        """The suns of a uniform sky. Their strengths, (n,), add up to 1 W/m^3: the light from all
+        directions equals that of a voxel with this emission."""
         return Sky(1 / (4 * np.pi)).suns(medium, band, per_edge)

@@ -44,14 +44,14 @@ _NO_SLATS = np.pi / 2 - 1e-4  # rad, half the spread from which an area light ha
 
 
 class PunctualLight(LocalLight):
-    """What point lights and spots share: photons and rays from `position` into a cone.
+    """The common part of point lights and spots: photons and rays from `position` into a cone.
 
     `_intensity` is the radiant intensity in directions (n, 3) relative to an isotropic point light
     of the same `power`, and `_peak_intensity` its maximum.
 
-    The `radius` dims the light close by: a place is lit as by a disk that faces it, which is the
-    soft falloff of Cycles. Photons and rays come from a point all the same; `softness` is the share
-    of them that counts.
+    The `radius` dims the light close by: each place is lit as by a disk that faces it, the soft
+    falloff of Cycles. Photons and rays still start at a point; `softness` is the share of them that
+    counts.
     """
 
     is_beam = True
@@ -69,7 +69,7 @@ class PunctualLight(LocalLight):
     def emit(self, count: int, medium: BaseMedium, rng: np.random.Generator, band: int) -> Photons:
         """Photons from the position in evenly distributed directions, weighted by the intensity.
 
-        From outside they go into the cone around the domain's bounding sphere only; some of these
+        From outside, they go only into the cone around the domain's bounding sphere; some of them
         miss the domain.
         """
         tilt, turn = r_sequence(count, 2, rng)
@@ -82,8 +82,8 @@ class PunctualLight(LocalLight):
     def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """Rays evenly distributed over the cone, or over all directions.
 
-        per_edge^2 of them, but _MOST_RAYS in all at most, cross a voxel's face in the farthest
-        corner of the domain.
+        per_edge^2 of them cross a voxel's face in the farthest corner of the domain, unless this
+        would take more than _MOST_RAYS in all.
         """
         domain = medium.domain
         axis, versine = self._cone(domain)
@@ -236,8 +236,8 @@ class AreaLight(LocalLight):
     u, v     (3,) m, the edges, or the full axes of an ellipse; the light shines towards u x v
     power    W, scalar or (bands,), after the grid of `spread`
     ellipse  whether it is an ellipse
-    spread   rad, the full angle of Blender's grid of slats in front of the light, beyond which it
-             blocks all light; pi for no grid
+    spread   rad, the full angle beyond which Blender's grid of slats in front of the lamp blocks
+             all light; pi for no grid
     """
 
     center: Vector
@@ -274,8 +274,8 @@ class AreaLight(LocalLight):
     def rays(self, medium: BaseMedium, band: int, per_edge: int) -> tuple[float, Iterator[Photons]]:
         """Rays from points evenly distributed over the area.
 
-        _RAYS_OF_AREA per_edge^2 or more of them, but about _MOST_RAYS in all at most, cross a
-        voxel's face in the farthest corner of the domain.
+        _RAYS_OF_AREA per_edge^2 or more of them cross a voxel's face in the farthest corner of the
+        domain, unless this would take more than about _MOST_RAYS in all.
         """
         domain = medium.domain
         points = self._points(*rank_1(self._point_count(domain)))
@@ -296,8 +296,8 @@ class AreaLight(LocalLight):
         return power * self._peak_intensity, pieces()
 
     def _point_count(self, domain: Domain) -> int:
-        """The number of points that stand for the area: they are about as far from each other as
-        from the domain."""
+        """The number of points that represent the area: their spacing is about their distance to
+        the domain."""
         lower, upper = np.array((domain.origin, domain.upper))
         reach = (np.abs(self.u) + np.abs(self.v)) / 2
         gap = np.maximum(np.maximum(lower - reach - self.center, self.center - reach - upper), 0)

@@ -14,7 +14,7 @@ type Cone = tuple[Floats, float]
 """Its axis (3,), of any length, and the versine, 1 - cosine, of its half angle."""
 
 SKY_CELLS = (32, 64)  # rows and columns: the cells by which a sky given as a function is sampled
-# By the axis that x is moved to: where the new x, y and z come from.
+# For each axis that x is moved to: the old axes of the new x, y and z.
 _TURNS = np.array([(0, 1, 2), (2, 0, 1), (1, 2, 0)])
 GOLDEN = (np.sqrt(5) - 1) / 2
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)  # powers of 1 / the root of x^3 = x + 1
@@ -51,7 +51,7 @@ def sample_discrete(edges: Floats, u: Floats) -> tuple[Integers, Floats]:
     """The interval into which each u (count,) in [0, 1) falls, and the place in it, in [0, 1).
 
     edges  as of `intervals`; an interval's probability is its length
-    If all are empty it is the last.
+    If all intervals are empty, it is the last one.
     """
     target = u * edges[-1]
     sampled = np.minimum(np.searchsorted(edges, target, side="right") - 1, len(edges) - 2)
@@ -68,7 +68,7 @@ def face_areas(domain: Domain) -> Floats:
 
 
 def entry_points(domain: Domain, directions: Floats, across: Floats, along: Floats) -> Floats:
-    """(count, 3) m: where rays of `directions` enter, uniform over the domain as they see it.
+    """(count, 3) m: points of entry along `directions`, uniform over the domain as seen from there.
 
     across and along are the (count,) in [0, 1) that choose the place.
     """
@@ -131,7 +131,7 @@ def even_directions(
 def bounding_cone(position: Vector, domain: Domain, reach: float = 0.0) -> Cone:
     """The `Cone`, its axis in m, that holds the domain as seen from the position.
 
-    It holds the domain's bounding sphere, seen from all places up to `reach` m around the position.
+    It holds the domain's bounding sphere as seen from all places within `reach` m of the position.
     """
     lower, upper = np.array((domain.origin, domain.upper))
     axis = (lower + upper) / 2 - position
@@ -164,7 +164,7 @@ def rank_1(least: int) -> Floats:
     """(2, n): a rank-1 lattice of `least` points or a few more on the unit square.
 
     All points have different coordinates, and different sums and differences of these, so neither
-    edges nor diagonals of voxels run along its rows. This takes an n without the factors 2 and 3.
+    edges nor diagonals of voxels run along its rows. For this, n must not have the factors 2 and 3.
     """
     count = next(n for n in range(least, least + 6) if gcd(n, 6) == 1)
     factors = (

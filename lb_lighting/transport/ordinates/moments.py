@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Moments and lobes: the angular distribution of light in voxels, as source iteration keeps it."""
+"""Moments and lobes: the angular distribution of light in voxels, as source iteration stores it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,7 +15,7 @@ from ..lights.sampling import (
     tilted,
 )
 
-_EVEN, _AIMED = 32, 24  # directions distributed evenly, and more about the direction of each sun
+_EVEN, _AIMED = 32, 24  # directions distributed evenly, and additional ones about that of each sun
 _AIM = 0.7  # mean cosine of the latter to the sun's direction
 _EXACT = 4  # degree of the polynomials that the quadrature integrates exactly
 FACTORS = np.sqrt(np.array([1, 3, 3, 3, 15, 15, 15, 1.25, 3.75]) / (4 * pi))
@@ -46,7 +46,7 @@ def phase_function(cosine: Floats, g: float | np.floating) -> Floats:
 
 
 def directions_for(suns: Sequence[Floats], g: float) -> tuple[Floats, Floats]:
-    """A quadrature for light that suns bring to a medium: (n, 3) unit vectors, (n,) weights in sr.
+    """A quadrature for a medium lit by suns: (n, 3) unit vectors and (n,) weights in sr.
 
     suns  [(3,) unit vector], the directions of travel
     g     mean cosine of the phase function

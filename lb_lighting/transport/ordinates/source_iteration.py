@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Source iteration with discrete ordinates, for media that scatter forwards.
 
-The lattice gives the fluence and the net flux. The light that a forward-scattering medium scatters
-away from a lamp's direction depends on more: on how much of that direction remains after a few
+The lattice gives the fluence and the net flux. In a forward-scattering medium, the light scattered
+away from a lamp's direction also depends on how much of that direction remains after a few
 scatterings. So rays along many directions cross the box of the medium and collect the light that
 is scattered into them: in the first iteration the lattice's light, in each later one the light of
-the iteration before. The result is kept as moments and lobes, see `ScatteringMoments`.
+the iteration before. The result is stored as moments and lobes, see `ScatteringMoments`.
 docs/theory/physics.md has the measured gain.
 """
 
@@ -42,8 +42,8 @@ from .moments import (
 )
 from .quadrature import directions_for, harmonics, phase_function, third
 
-ITERATIONS = 4  # more gain nothing: what the moments leave out remains
-MIN_ANISOTROPY = 0.65  # mean cosine of the phase function from which on iterations are worthwhile
+ITERATIONS = 4  # more do not help: the error of the truncated moments remains
+MIN_ANISOTROPY = 0.65  # mean cosine of the phase function above which iterations are worthwhile
 # Mean optical depth of the voxels that hold matter: the largest for which iterations are
 # worthwhile, as light varies within thicker voxels; and the largest that merging may lead to, of
 # media with more than _MOST voxels along an edge, as scattered light is smooth.
@@ -57,7 +57,7 @@ _BEAMS_AT_ONCE = 16
 def is_worthwhile(medium: Medium, lights: Sequence[Light]) -> bool:
     """Whether source iteration improves pictures of a medium in some lights.
 
-    Light that opaque voxels reflect does not take part in it.
+    Light that opaque voxels reflect is not iterated.
     """
     if medium.occlusion is not None or np.max(medium.g) < MIN_ANISOTROPY:
         return False
@@ -78,7 +78,7 @@ def iterate(
 
     medium, lights, device, cancel  those of `solve`
     iterations  each starts from the light of the one before
-    progress    called with the fraction that is done
+    progress    called with the completed fraction, 0 to 1
     Raises DeviceError or Cancelled.
     """
     monitor = Monitor(progress and (lambda _stage, fraction: progress(fraction)), cancel)

@@ -35,7 +35,7 @@ def solve(
     needed: int,
     monitor: Monitor,
 ) -> Field:
-    """`solver.solve` by the paper's model; needed is the memory of the solve in bytes."""
+    """`solver.solve` with the paper's model. `needed` is the memory of the solve, bytes."""
     _refuse_unfit(medium)
     inflow = boundary_inflow(lights, medium.bands)
     with clock("prepare"):
@@ -127,7 +127,7 @@ def _refuse_unfit(medium: Medium) -> None:
     if medium.emission is not None and medium.emission.any():
         raise MediumError("The paper's model has no emission inside the medium; leave it out.")
     thickest = float(medium.sigma_t.max()) * float(medium.density.max())
-    if thickest > 2:  # equation 4: the diffusion coefficient is negative, and the light explodes
+    if thickest > 2:  # equation 4: the diffusion coefficient is negative, and the light diverges
         raise MediumError(
             f"sigma_t x density reaches {thickest:g} per voxel, and the paper's model is unstable "
             "above 2; lower the density, or bring the medium to the paper's units."
@@ -137,7 +137,7 @@ def _refuse_unfit(medium: Medium) -> None:
 def _distinct_bands(medium: Medium, inflow: Floats) -> list[tuple[int, dict[int, float]]]:
     """[(band to solve, {band: its multiple})]: bands that differ by a factor are solved once.
 
-    The lattice is linear in the light, so in a grey medium a coloured sun needs one solution.
+    The lattice is linear in the light, so a coloured sun in a grey medium needs one solution.
     """
     distinct: list[tuple[int, dict[int, float]]] = []
     for band in range(medium.bands):

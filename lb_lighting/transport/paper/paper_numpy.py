@@ -78,7 +78,7 @@ class PaperReference:
     def start(self, inflow: Floats, omega: Floats) -> None:
         self.omega = omega
         self.f: Floats = np.empty((19, *self.density.shape))
-        self.previous = self.f  # never written to: a step makes a new one
+        self.previous = self.f  # never written to: a step makes a new array
         set_initial_light(self.f, inflow)
 
     def advance(self, steps: int) -> None:

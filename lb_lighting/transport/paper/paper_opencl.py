@@ -62,7 +62,7 @@ class PaperLattice:
 
     def start(self, inflow: Floats, omega: Floats) -> None:
         """Set the light that enters, (19,) by direction, and the collision matrix (19, 19)."""
-        for state in self.states:  # the boundary is never written, so both hold it
+        for state in self.states:  # steps never write to the boundary, so both states hold it
             with self._mapped(state, cl.map_flags.WRITE_INVALIDATE_REGION) as light:
                 set_initial_light(light, inflow)
         cl.enqueue_copy(self.queue, self.omega, omega.astype(np.float32))
@@ -82,7 +82,7 @@ class PaperLattice:
         return self._mapped(self.states[1 if previous else 0], cl.map_flags.READ)
 
     def _work_group(self, kernel: str) -> tuple[int, ...] | None:
-        """The paper's stripe along DEPTH; None, for the driver's choice, where it is too long."""
+        """The paper's stripe along DEPTH; None, the driver's choice, if it is too long."""
         if self.shape[2] <= self.queue.device.max_work_group_size:
             return (self.shape[2], 1, 1)
         if kernel == "coalesced":

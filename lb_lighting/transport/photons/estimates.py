@@ -42,8 +42,8 @@ class Estimates:
     def add(self, run: Run, scored: Tallies, at_border: Floats, spacing: float) -> None:
         """Add the scores of a run.
 
-        at_border  (SUMS,) of the light that opaque voxels at the domain's faces stopped before
-                   its photons were traced
+        at_border  (SUMS,) of the light that opaque voxels at the domain's faces stop before
+                   tracing
         spacing    m between two scores of a path
         """
         sums = scored.sums + at_border
@@ -52,7 +52,7 @@ class Estimates:
         self.lost += int(sums[tallies.LOST_PHOTONS])
         edge, shape = self.domain.voxel_size, self.domain.shape
         direct, scattered, collided = (v.T.reshape(-1, *shape) for v in scored[:3])
-        # The variance of the mean of the batches; a single batch has none.
+        # The variance of the mean of the batches; that of a single batch is infinite.
         correction = self.batches / (self.batches - 1) if self.batches > 1 else np.inf
         for band, factor in run.multiples.items():
             power = factor * run.power / self.batches
@@ -61,7 +61,7 @@ class Estimates:
             scale = np.float32(power * spacing / edge**3)  # path length in 1 m^3
             self.direct[band] += scale * direct.sum(axis=0)  # 0 where it is not tallied
             self.fluence[band] += scale * scattered[tallies.WEIGHT]
-            with np.errstate(invalid="ignore"):  # infinity times 0, of a single batch
+            with np.errstate(invalid="ignore"):  # infinity times 0 for a single batch
                 self.variance[band] += scale**2 * correction * scored.deviation.reshape(shape)
             if self.flux is not None:
                 self.flux[band] += scale * _signed(scattered, tallies.FLUX, tallies.WEIGHT)
@@ -75,7 +75,7 @@ class Estimates:
         source.direction[band] += power * _signed(tally, tallies.DIRECTION, tallies.POWER)
 
     def facts(self) -> dict[str, Any]:
-        """The attributes of a `PhotonReport` that the tallies give."""
+        """The attributes of a `PhotonReport` that come from the tallies."""
         energy = {
             "absorbed": self.energy[:, tallies.ABSORBED],
             "left": self.energy[:, tallies.LEFT_THROUGH : tallies.LEFT_THROUGH + 6],

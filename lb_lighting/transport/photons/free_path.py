@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Free path sampling: how far a photon flies until it collides (paper 2).
+"""Free path sampling: how far a photon travels before it collides (paper 2).
 
 The distance s to the next collision has P(s > d) = exp(-optical depth of d). Four samplers draw
-it, all without bias:
+it without bias:
 
     ray_march            adds up the optical depth, fine cell by fine cell
-    woodcock             fills the medium up to the largest density with virtual particles, which
-                         change nothing, and takes a step at a time to the next particle
-    supervoxel_constant  the same under an upper bound that is constant in a super-voxel
-    supervoxel_linear    under one that is trilinear in a super-voxel
+    woodcock             adds virtual particles, which change nothing, until the density is the
+                         largest one everywhere, and steps from particle to particle
+    supervoxel_constant  the same, up to a majorant that is constant in each super-voxel
+    supervoxel_linear    the same, up to a majorant that is trilinear in each super-voxel
 
-With one super-voxel the third is the second; with one a voxel, the first. `majorants` finds the
-bounds. Ray marching is exact where the density is constant or linear in fine cells; in a
-`PerlinMedium` it takes the density in the middle of each stretch of a cell, an error of second
-order in the edge of the finest cell.
+With a single super-voxel, the third is the second; with one super-voxel per voxel, the first.
+`majorants` computes the majorants. Ray marching is exact where the density is constant or linear in
+fine cells. In a `PerlinMedium` it uses the density at the middle of the path through each cell; the
+error is of second order in the edge of the finest cell.
 """
 
 import warnings
@@ -48,9 +48,9 @@ from .path_grid import PathGrid, enter
 from .perlin import PerlinMedium
 
 SAMPLERS = ("ray_march", "woodcock", "supervoxel_constant", "supervoxel_linear")
-_MOST_VALUES = 2**31 - 1  # that kernels can number
-_MOST_CELLS = 128  # along an edge of noise: the bound of more would take longer than it saves
-MOST_STEPS = 10**8  # of one path, before it is given up: a minute or so
+_MOST_VALUES = 2**31 - 1  # the most that kernels can index
+_MOST_CELLS = 128  # super-voxels along an edge of noise: finer majorants cost more than they save
+MOST_STEPS = 10**8  # after which a path is abandoned: about a minute
 
 
 def path_grid(
@@ -63,9 +63,9 @@ def path_grid(
     """The `PathGrid` of a medium.
 
     interpolation  of a Medium's density: "constant" in voxels, or "linear" between their centres
-    supervoxel     fine cells along the edge of a super-voxel; None for the size that is cheapest.
-                   In a PerlinMedium it must be the edge of one of the noise's lattice cells
-    device         as in `device.choose`, where the bound is made
+    supervoxel     fine cells along the edge of a super-voxel; None for the cheapest size. In a
+                   PerlinMedium it must be the edge of one of the noise's lattice cells
+    device         as in `device.choose`; it makes the majorants
     """
     require_known(sampler, SAMPLERS, "sampler")
     if supervoxel is not None:
@@ -106,7 +106,7 @@ def _of_voxels(
 
 
 def _of_noise(medium: PerlinMedium, sampler: str, supervoxel: int | None) -> PathGrid:
-    """The grid of noise, which is linear in its finest cells."""
+    """The grid of noise; its cells are those of the finest lattice."""
     n = medium.resolution
     fine = FineGrid(np.empty((0, 0, 0), np.float32), (n, n, n), 0.0, (float(n),) * 3)
     majorants = None
@@ -125,7 +125,7 @@ def _of_noise(medium: PerlinMedium, sampler: str, supervoxel: int | None) -> Pat
 def _cheapest_majorants(
     medium: PerlinMedium, kind: str, make: Callable[[int], Majorants]
 ) -> Majorants:
-    """The bound of a PerlinMedium under which the sampler is fastest; make(cells) makes one."""
+    """The majorants with which a PerlinMedium is sampled fastest; make(cells) makes some."""
     depth = float(medium.sigma_t.max()) * medium.voxel_size
     made, cells = [], medium.coarsest
     while cells <= min(_MOST_CELLS, medium.resolution):
@@ -135,7 +135,7 @@ def _cheapest_majorants(
 
 
 class FreePathSampler:
-    """Draws free paths in one medium: what it prepares serves any number of rays.
+    """Draws free paths in one medium; its preparation serves any number of rays.
 
     The arguments are those of `sample_free_paths`.
     """
@@ -165,7 +165,7 @@ class FreePathSampler:
         return self.count(origins, directions, seed)[0]
 
     def count(self, origins: Floats, directions: Floats, seed: int = 0) -> tuple[Floats, int]:
-        """(what `sample` returns, how many particles, real and virtual, these rays met)."""
+        """(distances as of `sample`, number of real and virtual particles that the rays met)."""
         require_whole(seed, "seed", 0, 2**32 - 1)
         origins, directions = check_rays(origins, directions)
         start, inside, hit = enter(self.grid, origins, directions)
@@ -192,7 +192,7 @@ class FreePathSampler:
 
 
 def _footprint(shape: Sequence[int], medium: Medium | PerlinMedium) -> Footprint:
-    """The memory of a density of `shape` voxels, which must fit at least."""
+    """The least memory: that of a density of `shape` voxels."""
     return Footprint({"density": 0 if isinstance(medium, PerlinMedium) else FLOAT * prod(shape)})
 
 
@@ -208,20 +208,20 @@ def sample_free_paths(
     interpolation: str = "constant",
     supervoxel: int | None = None,
 ) -> Floats:
-    """How far photons fly until they collide.
+    """How far photons travel before they collide.
 
-    medium         `Medium` or `PerlinMedium`; outside is vacuum
-    origins        (n, 3) m, in the medium or outside
+    medium         `Medium` or `PerlinMedium`, surrounded by vacuum
+    origins        (n, 3) m, inside or outside the medium
     directions     (n, 3), of any length but 0
     sampler        one of SAMPLERS
-    seed           0 to 2^32 - 1; ray i of a seed draws the same numbers whatever the others are
+    seed           0 to 2^32 - 1; ray i of a seed draws the same numbers in any set of rays
     device         None for the best, or part of the label of one of `device.devices()`
-    band           whose sigma_t counts
+    band           of the sigma_t to use
     interpolation  of a Medium's density: "constant" in voxels, or "linear" between their centres
-    supervoxel     voxels along the edge of a super-voxel; None for the size that is cheapest
+    supervoxel     voxels along the edge of a super-voxel; None for the cheapest size
     Returns (n,) float64 m, infinite where a ray leaves the medium or misses it, and NaN, with a
     RuntimeWarning, where it takes over MOST_STEPS steps.
-    Raises SettingsError for rays that are not, and for what is not on the lists above.
+    Raises SettingsError for invalid rays and for arguments outside these ranges.
     Source: paper 2.
     """
     prepared = FreePathSampler(

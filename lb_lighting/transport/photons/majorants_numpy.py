@@ -10,8 +10,8 @@ import numpy as np
 from ...arrays import Floats, Integers
 from .majorants import Problem
 
-# The linear program stops this close to its optimum, as a share of the bound's mean, or after
-# so many exchanges; a head volume takes 12 on average and 50 at most.
+# The linear program stops this close to its optimum, relative to the majorant's mean, or after
+# this many exchanges; a head volume takes 12 on average and 50 at most.
 TOLERANCE = 1e-3
 EXCHANGES = 64
 SMALLEST_PIVOT = 1e-4  # of an exchange; float32 turns smaller ones into noise
@@ -36,7 +36,7 @@ def least_corners(problem: Problem) -> Floats:
 
 
 def _alike(problem: Problem, axis: int) -> list[tuple[Integers, int]]:
-    """[(super-voxels, fine cells they have)] along an axis: the whole ones, then the cut one."""
+    """[(super-voxels, their fine cells)] along an axis: the whole ones, then the cut one."""
     whole, rest = divmod(problem.fine[axis], problem.size)
     alike = [(np.arange(whole), problem.size), (np.array([whole]), rest)]
     return [(cells, extent) for cells, extent in alike if len(cells) and extent]
@@ -62,7 +62,7 @@ def _node_values(problem: Problem, cells: Sequence[Integers], extents: Sequence[
 
 
 def _corner_weights(extents: Sequence[int]) -> Floats:
-    """(nodes, 8): the share of each corner in a trilinear function at each node."""
+    """(nodes, 8): the weight of each corner in a trilinear function at each node."""
     x, y, z = (np.stack([1 - t, t]) for t in (np.arange(e + 1) / e for e in extents))
     return np.einsum("ai,bj,ck->ijkabc", x, y, z).reshape(-1, 8)
 
@@ -70,10 +70,11 @@ def _corner_weights(extents: Sequence[int]) -> Floats:
 def _least_corners(nodes: Floats, weights: Floats) -> Floats:
     """(cells, 8): corner values of the least trilinear functions above `nodes` (cells, nodes).
 
-    The dual simplex method. Each cell has 8 nodes at which its function touches, at first the
-    corners; the node that it misses by most comes in, and the one goes whose share in the dual
-    objective would be the first to turn negative. On the way the mean of the function can only
-    grow, and it is never above the optimum; lifted by what it misses, it is a bound.
+    This is the dual simplex method. The basis of each cell is 8 nodes at which its function equals
+    their values, at first the corners. The node farthest above the function enters the basis, and
+    the one whose share in the dual objective would turn negative first leaves it. The mean of the
+    function never decreases and never exceeds the optimum. Raised by its largest violation, the
+    function is a majorant.
     """
     best = np.empty((len(nodes), 8))
     least = np.full(len(nodes), np.inf)
@@ -97,7 +98,7 @@ def _least_corners(nodes: Floats, weights: Floats) -> Floats:
         state: list[Any] = [going, nodes, corners, inverse, share, excess, worst]
         going, nodes, corners, inverse, share, excess, worst = (values[on] for values in state)
         entering = np.einsum("ci,cik->ck", weights[worst], inverse)
-        usable = entering > SMALLEST_PIVOT  # some are: they sum to 1
+        usable = entering > SMALLEST_PIVOT  # at least one is: they sum to 1
         ratio = np.where(usable, share / np.where(usable, entering, 1), np.inf)
         leaving, step = ratio.argmin(axis=1), ratio.min(axis=1)
         row = np.arange(len(nodes))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What paths step through, and where they enter it."""
+"""The grid that paths step through, and where they enter it."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,14 @@ from .perlin import PerlinMedium
 
 @dataclass(frozen=True)
 class PathGrid:
-    """What paths step through; lengths are in fine cells, see `majorants`.
+    """The grid that paths step through; lengths are in fine cells, see `majorants`.
 
     sampler   one of SAMPLERS
     medium    the `Medium` or `PerlinMedium`
     linear    whether the density is linear between voxel centres, not constant in voxels
     fine      `FineGrid`; it has no values where the density is a function
-    majorants  `Majorants` of super-voxels; None for the samplers that have none
-    global_majorant  an upper bound of the density everywhere, for Woodcock's sampler; else 0
+    majorants  `Majorants` of super-voxels; None for samplers without super-voxels
+    global_majorant  majorant of the whole domain, for Woodcock's sampler; else 0
     """
 
     sampler: str
@@ -52,7 +52,7 @@ class PathGrid:
 
     @property
     def polynomial(self) -> bool:
-        """Whether the bound is trilinear in a super-voxel; that of a linear fine cell is."""
+        """Whether the majorant is trilinear in a super-voxel, or in a fine cell to march."""
         if self.sampler == "ray_march":
             return self.linear
         return self.sampler == "supervoxel_linear"
@@ -63,7 +63,7 @@ class PathGrid:
         return (np.asarray(points, float) - medium.origin) / medium.voxel_size + self.fine.lower
 
     def per_depth(self, band: int) -> float:
-        """Density times fine cells in an optical depth of 1; infinite in a vacuum."""
+        """Density times length in fine cells per unit optical depth; infinite in a vacuum."""
         scale = float(self.medium.sigma_t[band]) * self.medium.voxel_size
         return 1 / scale if scale > 1e-37 else np.inf
 
@@ -74,14 +74,14 @@ def enter(grid: PathGrid, origins: Floats, directions: Floats) -> tuple[Floats, 
     start   (n,) fine cells from the origin to the domain, 0 inside it
     points  (n, 3) where they enter, in fine cells, in the domain
     hit     (n,) whether they do
-    In float64, so that rays from far away lose nothing.
+    Computed in float64, so that rays from far away lose no precision.
     """
     points = grid.fine_from_world(origins)
     upper = np.asarray(grid.fine.upper)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_lower = (grid.fine.lower - points) / directions
         to_upper = (upper - points) / directions
-    # Parallel to a pair of faces: always between them, or never.
+    # A ray parallel to a pair of faces is always between them, or never.
     parallel = directions == 0
     between = (points >= grid.fine.lower) & (points < upper)
     near = np.where(parallel, np.where(between, -np.inf, np.inf), np.minimum(to_lower, to_upper))

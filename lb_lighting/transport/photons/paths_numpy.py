@@ -78,7 +78,7 @@ class NumpyPaths:
         selection: Selection,
         opaque: Opaque | None,
     ) -> None:
-        """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
+        """Start tallies of `shape` voxels from `lower`, each 1 / `per_cell` fine cells wide, at 0.
 
         selection  which are tallied: (uncollided light, flux, collision source)
         opaque     (occlusion, its albedo), (nx, ny, nz) float32 each, or None
@@ -149,7 +149,7 @@ class NumpyPaths:
         for step in range(1, most_steps + 1):
             if not len(going):
                 break
-            # Advance all paths to their next event, and score the way there.
+            # Advance all paths to their next event, and score them up to it.
             event = walk.advance(going)
             if self.opaque is not None:
                 ends = np.isin(event, (COLLIDED, LEFT)) | (step == most_steps)
@@ -217,7 +217,7 @@ class NumpyPaths:
         self.sums[LOST_PHOTONS] += len(going)
 
     def _roulette(self, walk: Walk, rays: Integers, weight: Floats) -> Booleans:
-        """Which photons of little weight die. The survivors gain, on average, what these lose."""
+        """Which photons of little weight end. The others double theirs, which keeps the mean."""
         survives = walk.random.next(rays) < 0.5
         self.sums[ABSORBED] += (np.where(survives, -1, 1) * _units(weight[rays])).sum()
         weight[rays] *= 2
@@ -254,8 +254,8 @@ class NumpyPaths:
             score_at[rays] += spacing
 
     def _hand_over(self, walk: Walk, rays: Integers, weight: Floats) -> None:
-        voxel, offset = self._voxels(walk.points(rays))
         """Score photons that become a collision source."""
+        voxel, offset = self._voxels(walk.points(rays))
         source = self.tallies[2]
         _add(source, voxel, POWER, weight)
         _add_vector(source, voxel, POSITION, weight, offset)

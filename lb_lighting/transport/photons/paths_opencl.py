@@ -75,7 +75,7 @@ class OpenclPaths:
         selection: Selection,
         opaque: Opaque | None,
     ) -> None:
-        """Empty tallies of `shape` voxels from `lower` on, 1 / `per_cell` fine cells an edge.
+        """Start tallies of `shape` voxels from `lower`, each 1 / `per_cell` fine cells wide, at 0.
 
         selection  which are tallied: (uncollided light, flux, collision source)
         opaque     (occlusion, its albedo), (nx, ny, nz) float32 each, or None

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fractal noise as a medium, of any effective resolution, that is never stored.
+"""Fractal noise as a medium: of any effective resolution, and never stored.
 
 The noise is a sum of octaves ("Procedural media" and "Upper bound" of paper 2). Octave i has values
-in [0, 1], hashed from their place, on a lattice of coarsest * 2^i cells along each edge of the
+in [0, 1], hashed from their position, on a lattice of coarsest * 2^i cells along each edge of the
 domain, trilinear in between. Its amplitude is proportional to persistence^i, and all amplitudes sum
 to 1. The density is
 
     T(noise) = (max(0, noise - cutoff) / (1 - cutoff)) ** power.
 
-Two properties make the bounds. The noise without the octaves finer than a lattice is trilinear in
-each of that lattice's cells, and the octaves left out add at most the rest, the sum of their
-amplitudes. And T is increasing and convex (power >= 1), so that in a cell T(noise) is nowhere over
-the trilinear function through the values of T(coarse noise + rest) at its corners.
+The majorants follow from two properties. Without the octaves finer than a lattice, the noise is
+trilinear in each of that lattice's cells, and the finer octaves add at most the sum of their
+amplitudes, the rest. T is increasing and convex (power >= 1), so in each cell T(noise) is nowhere
+above the trilinear function through the values of T(coarse noise + rest) at the corners.
 
-kernels/photons/perlin.cl has the same noise for devices.
+kernels/photons/perlin.cl is the twin for devices.
 """
 
 from math import floor, log2
@@ -39,17 +39,17 @@ WEAK = {"cutoff": 0.0, "power": 1.0}
 """Weakly inhomogeneous: mean density 0.51, largest 1.7 times that, no void (median of 20 seeds)."""
 
 STRONG = {"cutoff": 0.5, "power": 4.0}
-"""Strongly: mean 0.0018, largest 130 times that (80 to 250 by seed), void in 46 % (34 to 62)."""
+"""Strongly inhomogeneous: mean 0.0018, largest 130 times that (80 to 250), 46 % void (34 to 62)."""
 
-# What float32 does to the noise (up to 15 octaves of a few roundings each, and the amplitudes), and
-# to the value of a bound, as a share of its largest corner (8 coefficients, products of three).
+# Float32 errors of the noise (up to 15 octaves of a few roundings each, and the amplitudes), and of
+# the value of a majorant, relative to its largest corner (8 coefficients, products of three).
 _NOISE_MARGIN = 2e-6
 _BOUND_MARGIN = 1e-5
-_LEAST = 1e-30  # that a corner has if it is not 0, lest its margin underflows
+_LEAST = 1e-30  # smallest value of a corner that is not 0, or its margin would underflow
 
-_FINE = 128  # cells along an edge, at most, of the bound that the global maximum is taken from
+_FINE = 128  # most cells along an edge of the majorants that give the global maximum
 
-# The coefficients of a trilinear function: which of x, y and z each goes with.
+# The terms of a trilinear function: whether each has the factors x, y and z.
 _TERMS = (
     (0, 0, 0),
     (1, 0, 0),
@@ -61,28 +61,28 @@ _TERMS = (
     (1, 1, 1),
 )
 
-# The primes of xxHash tell octaves, frames and the three coordinates apart.
+# The primes of xxHash distinguish octaves, frames and the three coordinates.
 _OCTAVE, _FRAME = 0x9E3779B1, 0x85EBCA77
 _X, _Y, _Z = (np.uint32(prime) for prime in (0xC2B2AE3D, 0x165667B1, 0x27D4EB2F))
 
 
 class PerlinMedium(BaseMedium):
-    """A cube of fractal noise; outside is vacuum.
+    """A cube of fractal noise, surrounded by vacuum.
 
     resolution        N, cells of the finest lattice along an edge: coarsest * 2^k, at most 32768
     size              m, the edge of the cube
     sigma_s, sigma_a  scattering and absorption at density 1, 1/m, scalar or (bands,)
     g                 mean cosine of the Henyey-Greenstein phase function, scalar or (bands,)
     origin            (3,) m, the lower corner of the cube
-    cutoff            noise up to which there is nothing, 0 to 0.999
-    power             1 to 64; the larger, the rarer is high density
+    cutoff            noise up to which the density is 0, from 0 to 0.999
+    power             1 to 64; the larger, the rarer high densities are
     persistence       amplitude of an octave over that of the next coarser one, 0 to 1
     coarsest          cells of the coarsest lattice along an edge
     seed              0 to 2^32 - 1
     time              in frames: lattice values are linear in time between those of whole frames
 
-    The attributes are the same, and those of a `Medium` with N^3 voxels, but for the density: that
-    is a function here. Raises MediumError for anything else than the above.
+    The attributes are these, and those of a `Medium` with N^3 voxels, except that the density is a
+    function. Raises MediumError for values outside these ranges.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class PerlinMedium(BaseMedium):
         )
 
     def _octave(self, cells: int, what: str) -> int:
-        """The octave whose lattice has so many cells along an edge; MediumError if none has."""
+        """The octave whose lattice has `cells` along an edge; MediumError if there is none."""
         octave = round(log2(cells / self.coarsest))
         if cells != self.coarsest * 2**octave:
             raise MediumError(
@@ -213,7 +213,7 @@ class PerlinMedium(BaseMedium):
         return octave
 
     def _keys(self, octave: int) -> list[tuple[float, Integers]]:
-        """[(share, key)]: what an octave is hashed with in the frames around `time`."""
+        """[(share, key)]: weights and hash keys of an octave in the frames around `time`."""
         frame, later = floor(self.time), self.time % 1
         octave_key = mix_bits(_words(self.seed ^ (octave + 1) * _OCTAVE))
         keys = [(1 - later, mix_bits(octave_key ^ _words(frame * _FRAME)))]
@@ -225,7 +225,7 @@ class PerlinMedium(BaseMedium):
         return np.maximum(0, (noise - self.cutoff) / (1 - self.cutoff)) ** self.power
 
     def _corners(self, cells: int) -> Floats:
-        """(cells + 1, ...): what bounds the density at the corners of the super-voxels."""
+        """(cells + 1, ...): the majorant at the corners of the super-voxels."""
         if cells == 1 < self.coarsest:
             return np.full((2, 2, 2), self._corners(self._fine_cells()).max())
         _whole(cells, "number of super-voxels along an edge", self.coarsest, self.resolution)
@@ -238,7 +238,7 @@ class PerlinMedium(BaseMedium):
         return np.where(density > 0, np.maximum(density, _LEAST), 0)
 
     def _fine_cells(self) -> int:
-        """Cells along an edge of the lattice that the global maximum is taken from."""
+        """Cells along an edge of the lattice that gives the global maximum."""
         cells = self.coarsest
         while 2 * cells <= min(_FINE, self.resolution):
             cells *= 2
@@ -258,12 +258,12 @@ def _between(value: float, what: str, lowest: float, highest: float) -> float:
 
 
 def _as_on_devices(value: float) -> float:
-    """Rounded to float32, or a cutoff near 1 would be quite another there."""
+    """Rounded to float32, so that a cutoff near 1 is the same on devices."""
     return float(np.float32(value))
 
 
 def _words(value: int) -> Integers:
-    """(1,) uint32: the lower bits of a whole number; an array, which wraps silently."""
+    """(1,) uint32: the lower bits of a whole number. Arrays wrap without a warning."""
     return np.array([value & 0xFFFFFFFF], np.uint32)
 
 
@@ -289,10 +289,10 @@ def _trilinear(key: Integers, x: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _cell(coordinate: Floats, prime: np.uint32) -> tuple[Integers, Integers, Floats]:
-    """What the two lattice points around a coordinate are hashed with, and the share of the second.
+    """The hash terms of the two lattice points around a coordinate, and the weight of the second.
 
-    Coordinate by coordinate with a mixing in between: a hash of one sum of products would make the
-    noise periodic, as 2^45 points of the finest lattice cannot have 32-bit sums of their own.
+    Coordinates are hashed one by one, with mixing in between. A hash of one sum of products would
+    make the noise periodic: 2^45 points of the finest lattice cannot have distinct 32-bit sums.
     """
     index = np.floor(coordinate)
     low = index.astype(np.int64).astype(np.uint32)
@@ -300,7 +300,7 @@ def _cell(coordinate: Floats, prime: np.uint32) -> tuple[Integers, Integers, Flo
 
 
 def _refined(values: Floats) -> Floats:
-    """Values at the points of a lattice -> those at the points of one twice as fine, trilinear."""
+    """Values at the points of a lattice, interpolated to those of one twice as fine (trilinear)."""
     for _ in range(3):  # each turn refines the first axis and makes it the last
         fine = np.empty((2 * len(values) - 1, *values.shape[1:]))
         fine[::2] = values
@@ -317,7 +317,7 @@ def _largest(corners: Floats) -> Floats:
 
 
 def _difference(corners: Floats, term: tuple[int, ...]) -> Floats:
-    """The coefficient that goes with a term of the trilinear functions through the corners."""
+    """The coefficient of a term of the trilinear functions through the corners."""
     for with_coordinate in term:
         corners = np.diff(corners, axis=0) if with_coordinate else corners[:-1]
         corners = corners.transpose(1, 2, 0)

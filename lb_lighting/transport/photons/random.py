@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The random numbers of `kernels/photons/random.cl` in NumPy, bit for bit.
 
-xoshiro128++ (Blackman and Vigna 2021), a stream of its own for every ray, so that a result
-depends on the seed alone and not on the order in which a device takes the rays.
+xoshiro128++ (Blackman and Vigna 2021), with one stream for each ray: results depend on the seed
+alone and not on the order in which a device processes the rays.
 """
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which light and band each tracing is of, and how many photons it gets: in batches, by power."""
+"""The schedule of a trace: runs of one light and band each, with photons by power, in batches."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ from ..lights.emission import Emission
 from ..medium import Medium
 from .perlin import PerlinMedium
 
-# Batches have the same size, and their scatter gives the variance: that of 32 is known to a quarter
-# of itself. There are fewer where photons are so few that reading the voxels would take longer.
+# Batches have the same size, and the differences between them give the variance: 32 batches give it
+# to within a quarter. With few photons there are fewer, as reading the voxels would take longer.
 _FEWEST_BATCHES, _MOST_BATCHES, _PHOTONS_A_VOXEL = 8, 32, 1 / 128
 _PROBE = 1024  # photons that measure how bright a light is
 AT_ONCE = 2**18  # photons, at most, that a light emits in a batch
-# Paths of each photon where direct light is not needed: to draw one costs as much as collisions.
+# Paths of each photon without uncollided light: drawing a photon costs as much as collisions.
 COPIES = 4
 
 
 @dataclass(frozen=True)
 class Run:
-    """One tracing: a light, a band, and the bands whose light is a multiple of it.
+    """The tracing of one light in one band, and the bands whose light is a multiple of it.
 
     multiples  {band: factor}
-    photons    that the light sends in a batch
+    photons    that the light emits in a batch
     copies     paths of each photon
     power      W of a path of weight 1
     """
@@ -41,7 +41,7 @@ class Run:
 
 
 def batches_of(photons: int, voxels: int) -> int:
-    """How many batches the photons are traced in."""
+    """The number of batches in which the photons are traced."""
     worthwhile = int(photons / (_PHOTONS_A_VOXEL * voxels))
     batches = min(photons, max(_FEWEST_BATCHES, min(worthwhile, _MOST_BATCHES)))
     return max(batches, -(-photons // AT_ONCE))
@@ -55,7 +55,7 @@ def runs_of(
     copies: int,
     seed: int,
 ) -> list[Run]:
-    """The `Run`s of a medium and its lights: one for each that shines and band that differs."""
+    """The `Run`s of a medium: one for each light that is not dark, in each distinct band."""
     lights = list(lights)
     if medium.emission is not None:
         lights.append(Emission(medium))
@@ -67,7 +67,7 @@ def runs_of(
             if probe.any():
                 count = max(1, round(photons * probe.sum() / whole / (batches * copies)))
                 power = float(probe.max()) * _PROBE / (count * copies)
-            elif callable(light.spectrum):  # the probe may have missed what is bright
+            elif callable(light.spectrum):  # the probe may have missed its bright parts
                 count = max(1, photons // (len(lights) * batches * copies))
                 power = 1 / (count * copies)
             else:
@@ -81,7 +81,7 @@ def runs_of(
 def _distinct(
     medium: Medium | PerlinMedium, lights: Sequence[Light]
 ) -> list[tuple[int, list[dict[int, float]]]]:
-    """[(band, [{band: its multiple} for each light])]: bands that are alike are traced once."""
+    """[(band, [{band: its multiple} for each light])]: equivalent bands are traced once."""
     distinct: list[tuple[int, list[dict[int, float]]]] = []
     for band in range(medium.bands):
         for base, multiples in distinct:
@@ -101,5 +101,5 @@ def _distinct(
 
 
 def _probe(light: Light, medium: Medium | PerlinMedium, band: int, seed: int) -> Floats:
-    """(_PROBE,) W that as many photons of a light carry: how bright it is."""
+    """(_PROBE,) W carried by each of _PROBE photons of a light, to measure its brightness."""
     return light.emit(_PROBE, medium, np.random.default_rng([seed, 0]), band)[2]

@@ -14,7 +14,7 @@ type Opaque = tuple[Floats, Floats]  # occlusion (nx, ny, nz), and its albedo in
 UNIT = 2.0**24  # units of a tally in a weight of 1
 HEAVIEST = 64.0  # the largest weight that a photon may start with
 
-# What a voxel's tallies count. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
+# The contents of a voxel's tallies. A signed quantity q in [-1, 1] is counted as (1 + q) / 2.
 # Uncollided light has one tally, its weight. Scattered or reflected light has:
 WEIGHT = 0  # its weight
 FLUX = 1  # three, if the flux is tallied: weight times direction
@@ -31,7 +31,7 @@ ABSORBED = 0
 LEFT_THROUGH = 1  # six: faces -x, +x, -y, +y, -z, +z
 HANDOVER = 7  # the weight of those that become a collision source
 LOST = 8  # the weight of those that took too many steps
-LOST_PHOTONS = 9  # their number; the sums below are numbers, too
+LOST_PHOTONS = 9  # their number; the sums below are numbers as well
 VIOLATIONS = 10
 COLLISIONS = 11
 SUMS = 12
@@ -60,7 +60,7 @@ def kinds(direct: bool, flux: bool, source: bool) -> tuple[int, int, int]:
 
 
 def in_weights(sums: Array) -> Floats:
-    """(SUMS,) float64 from sums (SUMS,) in units: weights, then the numbers unchanged."""
+    """(SUMS,) float64 from sums (SUMS,) in units: as weights, except for the numbers."""
     weights = np.asarray(sums, float)
     weights[:LOST_PHOTONS] /= UNIT
     return weights

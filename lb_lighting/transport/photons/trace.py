@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photon tracing on the free path samplers: the reference that the lattice is held to.
+"""Photon tracing with the free path samplers: the reference for the lattice.
 
-A photon carries a weight, which absorption lowers, and scatters by the Henyey-Greenstein phase
-function. Its path is scored at points a fixed length apart, the first at random, so that the
-expected score of a voxel is the length of all paths in it: a track length estimator. It is unbiased
-in any density, vacuum included; and it costs nothing in voxels that a path crosses between two
-points, where a score at each voxel's border would.
+Each photon carries a weight, which absorption lowers, and scatters by the Henyey-Greenstein phase
+function. Its path is scored at points a fixed length apart; the position of the first is random.
+The expected score of a voxel is therefore the length of all paths in it: a track length estimator.
+It is unbiased in any density, including vacuum. Unlike scores at each voxel's border, it costs
+nothing in voxels that a path crosses between two points.
 
-An opaque voxel stops the light that arrives at its border with the probability of its occlusion,
-and reflects the share of its albedo by the cosine (Lambert), as scattered light. It does not
-hinder light that leaves it: where all is white, a voxel holds the share 1 - occlusion of the light.
+An opaque voxel stops arriving light at its border; the probability is its occlusion. It reflects a
+share of it, its albedo, as scattered light with a cosine distribution (Lambert). Light that leaves
+it passes freely: where everything is white, a voxel holds the share 1 - occlusion of the light.
 """
 
 from collections.abc import Iterable, Sequence
@@ -35,9 +35,9 @@ from .perlin import PerlinMedium
 from .schedule import AT_ONCE, COPIES, Run, batches_of, runs_of
 from .tallies import Opaque, Selection
 
-_CLOSEST = 0.01  # voxels between two scores; closer ones might not move on in float32
+_CLOSEST = 0.01  # voxels between two scores; closer ones might not advance in float32
 _AT_BORDER = 1e-6  # voxels from the domain's face, where light from outside begins
-_TALLIED = 128  # voxels along an edge of the tallies of a medium without voxels
+_TALLIED = 128  # default voxels along an edge of the tallies of a medium without voxels
 
 
 def trace(
@@ -61,26 +61,26 @@ def trace(
 ) -> Field:
     """Light a medium by tracing photons.
 
-    medium         a vacuum lies outside of it. Its emission is one of the lights; its shift between
-                   bands is left to the caller
+    medium         surrounded by vacuum. Its emission is one of the lights; the caller handles its
+                   shift between bands
     lights         see `Light`
-    photons        for each band that differs from the others; lights share them by their power
+    photons        for each distinct band, shared among the lights by power
     sampler        one of free_path.SAMPLERS
     seed           0 to 2^32 - 1; on a given device, a seed always gives the same field
     device         None for the best, or part of the label of one of `device.devices()`
     handover       the collision at which a photon ends and becomes a collision source for a
                    lattice; None for never. Reflections by opaque voxels do not count
     interpolation  of a Medium's density: "constant" in voxels, or "linear" between their centres
-    supervoxel     voxels along the edge of a super-voxel; None for the cheapest
+    supervoxel     voxels along the edge of a super-voxel; None for the cheapest size
     tallied        voxels along an edge of the field of a PerlinMedium; None for up to 128
     spacing        voxels between two scores of a path: larger is faster and noisier
-    direct         whether to tally uncollided light. Without it each photon begins four paths
-    flux           whether to tally the flux, which makes a score four additions instead of one
-    most_steps     after which a path is given up
+    direct         whether to tally uncollided light. Without it, each photon starts four paths
+    flux           whether to tally the flux: a score then takes four additions instead of one
+    most_steps     steps after which a path is abandoned
     progress       called as progress(stage, fraction) with the fraction from 0 to 1
-    cancel         called without arguments; tracing ends with `Cancelled` where it returns true
+    cancel         called without arguments; if it returns true, tracing raises `Cancelled`
     Returns a `Field` with variance, in W/m^2. Raises MediumError, LightError, SettingsError,
-    DeviceError, or SolverError where the density exceeds its majorant, which would be a bias.
+    DeviceError, or SolverError where the density exceeds its majorant, which would bias the result.
     Source: paper 2 for the paths; equation 1 of paper 1 for what they solve.
     """
     _refuse_unfit(medium, photons, handover, interpolation, spacing, seed, most_steps)
@@ -91,7 +91,7 @@ def trace(
 
 
 class _Tracer:
-    """One call of `trace`: what it prepares, and the tracing of all runs."""
+    """One call of `trace`: prepares it and traces all runs."""
 
     def __init__(
         self,
@@ -118,10 +118,10 @@ class _Tracer:
         interpolation: str,
         supervoxel: int | None,
     ) -> None:
-        """Make the majorants and the schedule. DeviceError where the memory does not suffice."""
+        """Make the majorants and the schedule. DeviceError if there is too little memory."""
         medium, shape = self.medium, self.shape
         with self.clock("prepare"):
-            # Twice: the device already works for the majorants, whose size shows only then.
+            # Check twice: the device makes the majorants, and their size is known only afterwards.
             self._require_memory(None)
             self.grid = path_grid(medium, sampler, interpolation, supervoxel, self.device)
             self.bytes = self._require_memory(self.grid)
@@ -161,7 +161,7 @@ class _Tracer:
     def _trace(self, run: Run, monitor: Monitor) -> Floats:
         """Trace a run batch by batch.
 
-        Returns (SUMS,) of what opaque voxels at the domain's faces stopped before it was traced.
+        Returns (SUMS,): the light that opaque voxels at the domain's faces stop before tracing.
         """
         opaque = _opaque(self.medium, run.band)
         fine = self.grid.fine
@@ -174,7 +174,7 @@ class _Tracer:
         return at_border
 
     def _trace_batch(self, run: Run, batch: int, opaque: Opaque | None, monitor: Monitor) -> Floats:
-        """Trace the photons of one batch; returns as `_trace` does."""
+        """Trace the photons of one batch. Returns the same as `_trace`."""
         photons = self._emit(run, batch)
         # Voxels at the domain's faces stop their share of the light from outside.
         sums = np.zeros(tallies.SUMS) if opaque is None else _stop_at_border(photons, *opaque)
@@ -197,7 +197,7 @@ class _Tracer:
         return run.copies * sums
 
     def _emit(self, run: Run, batch: int) -> Floats:
-        """(7, n) photons where they enter the domain, in fine cells, directions, and weights."""
+        """(7, n) photons: points of entry in fine cells, directions, weights."""
         rng = np.random.default_rng([self.seed, 1, run.number, batch])
         origins, directions, power = run.light.emit(run.photons, self.medium, rng, run.band)
         _, points, hit = enter(self.grid, origins, directions)
@@ -232,7 +232,7 @@ def _refuse_unfit(
 
 
 def _opaque(medium: Medium | PerlinMedium, band: int) -> Opaque | None:
-    """(occlusion, its albedo in a band), (nx, ny, nz) float32 each; None where there is none."""
+    """(occlusion, its albedo in a band), (nx, ny, nz) float32 each; None without opaque voxels."""
     if medium.occlusion is None or medium.occlusion_albedo is None:
         return None
     albedo = np.broadcast_to(medium.occlusion_albedo[band], medium.shape)
@@ -253,7 +253,7 @@ def _footprint(
     selection: Selection,
     grid: PathGrid | None = None,
 ) -> Footprint:
-    """The memory of a trace into `shape` voxels; grid counts once it is made."""
+    """The memory of a trace into `shape` voxels, with that of the grid if there is one."""
     voxels, kinds = prod(shape), tallies.kinds(*selection)
     names = ("uncollided light", "scattered light", "collision source")
     buffers = {name: DOUBLE * n * voxels for name, n in zip(names, kinds, strict=True)}
@@ -273,9 +273,10 @@ def _footprint(
 
 
 def _stop_at_border(photons: Floats, occlusion: Floats, albedo: Floats) -> Floats:
-    """Take from photons (7, n) that come from outside what the first voxel stops; (SUMS,) of it.
+    """Subtract from photons (7, n) from outside the weight that their first voxel stops.
 
-    What is reflected there leaves at once, so that nothing is drawn: all lose their share.
+    Reflected light leaves the domain at once, so nothing is sampled: each photon loses its share.
+    Returns (SUMS,) of the stopped light.
     """
     points, directions, weight = photons[:3], photons[3:6], photons[6]
     shape = np.reshape(occlusion.shape, (3, 1))
@@ -295,7 +296,7 @@ def _stop_at_border(photons: Floats, occlusion: Floats, albedo: Floats) -> Float
 
 
 def _lighter(photons: Floats) -> Floats:
-    """Photons (7, n) with those that are too heavy for the tallies divided into several."""
+    """Photons (7, n), with those too heavy for the tallies split into several."""
     pieces = np.maximum(1, np.ceil(photons[6] / tallies.HEAVIEST)).astype(int)
     if pieces.max(initial=1) == 1:
         return photons

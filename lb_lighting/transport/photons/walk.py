@@ -17,7 +17,7 @@ _TOLERATED = 1.0001
 
 
 class Walk:
-    """The state of many paths: the kernels' structs Path and Place, with one row for each ray."""
+    """The state of many paths, one row for each ray: the kernels' structs Path and Place."""
 
     def __init__(
         self, grid: PathGrid, rays: Floats, per_depth: float, seed: int, indices: Integers
@@ -31,7 +31,7 @@ class Walk:
         self.i, self.crossings = np.zeros((n, 3)), np.zeros((n, 3))
         self.cell = np.clip(self.o.astype(int) // grid.size, 0, self.cells - 1)
         self.violated = np.zeros(n, bool)
-        # Where the flights are among opaque voxels: the kernel's struct Place.
+        # The positions of flights among opaque voxels: the kernel's struct Place.
         self.voxel = np.clip(self.o.astype(int), 0, np.subtract(grid.fine.shape, 1))
         self.stopped_axis, self.stopped_by = np.zeros((2, n), int)
         self.random = RandomStreams(seed, indices)
@@ -40,7 +40,7 @@ class Walk:
         return self.o[rays] + self.t[rays, None] * self.d[rays]
 
     def start_flights(self, rays: Integers) -> None:
-        """New flights from `o`, in the paths' super-voxels, along `d`."""
+        """Start flights from `o`, in the paths' super-voxels, along `d`."""
         d = self.d[rays]
         forward = d >= 0
         self.i[rays] = 1 / np.where(forward, np.maximum(d, _SLOWEST), np.minimum(d, -_SLOWEST))
@@ -51,7 +51,7 @@ class Walk:
         self.limit[rays] = self._constant_majorant(rays)
 
     def advance(self, rays: Integers) -> Integers:
-        """The events with which a step of each of `rays` ends."""
+        """Advance each of `rays` by a step. Returns the events that end the steps."""
         next_ = self.end[rays]
         if self.grid.sampler != "woodcock":
             next_ = np.minimum(next_, self.crossings[rays].min(axis=1))
@@ -93,11 +93,11 @@ class Walk:
         return event
 
     def arrive(self, rays: Integers) -> None:
-        """Go to where the flights have come."""
+        """Move `o` to the present points of the flights."""
         self.o[rays] = np.clip(self.points(rays), self.grid.fine.lower, self.upper)
 
     def turn(self, rays: Integers, g: float) -> None:
-        """Turn `d` by a Henyey-Greenstein angle."""
+        """Scatter `d` by the Henyey-Greenstein phase function."""
         even = 2 * self.random.next(rays) - 1
         ratio = (1 - g * g) / (1 + g * even)
         small = abs(g) < 1e-3
@@ -121,7 +121,7 @@ class Walk:
         self.d[rays] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
     def stop(self, rays: Integers, occlusion: Floats) -> Booleans:
-        """Cut flights at the first face of a voxel that stops them; whether one does."""
+        """Cut flights at the first voxel face that stops them. Returns whether there is one."""
         stopped = np.zeros(len(self.t), bool)
         while len(rays):
             forward = self.d[rays] >= 0
@@ -146,14 +146,14 @@ class Walk:
         return stopped
 
     def land(self, rays: Integers) -> None:
-        """Go to the faces at which the flights were stopped, on the side that they came from."""
+        """Move `o` to the faces that stopped the flights, on the side that they came from."""
         self.arrive(rays)
         axis = self.stopped_axis[rays]
         self.o[rays, axis] = self.voxel[rays, axis] + (self.d[rays, axis] >= 0)
         self.cell[rays] = self.voxel[rays] // self.grid.size
 
     def turn_back(self, rays: Integers) -> None:
-        """Turn `d` back from those faces, by the cosine about their normals (Lambert)."""
+        """Reflect `d` from those faces, cosine-distributed about their normals (Lambert)."""
         squared = self.random.next(rays)
         around = 2 * np.pi * self.random.next(rays)
         aside = np.sqrt(1 - squared)
@@ -201,7 +201,7 @@ class Walk:
         return inside
 
     def _fine_cells(self, points: Floats, rays: Integers) -> Integers:
-        """The fine cells of points; never one outside their super-voxel."""
+        """The fine cells of points, always within their super-voxels."""
         first, last = np.zeros(3, int), np.array(self.grid.fine.shape)
         if self.grid.sampler != "woodcock":
             first = self.cell[rays] * self.grid.size
@@ -231,7 +231,7 @@ class Walk:
         return density
 
     def _coefficients(self, rays: Integers) -> Floats:
-        """(8, n) coefficients of [1, x, y, z, xy, yz, zx, xyz] of the bound."""
+        """(8, n) coefficients of [1, x, y, z, xy, yz, zx, xyz] of the majorant."""
         cell = self.cell[rays]
         if self.grid.majorants is not None:
             return self.grid.majorants.values[tuple(cell.T)].T.astype(float)
@@ -251,7 +251,7 @@ class Walk:
         )  # fmt: skip
 
     def _majorant_ahead(self, rays: Integers) -> tuple[Floats, ...]:
-        """The bound along the flights, a cubic in the length from here: its four coefficients."""
+        """Four coefficients of the majorant along the flights: a cubic in the length from here."""
         a = self._coefficients(rays)
         x, y, z = (self.points(rays) / self.grid.size - self.cell[rays]).T
         vx, vy, vz = (self.d[rays] / self.grid.size).T
@@ -279,9 +279,9 @@ def _integral(c: Sequence[Floats], s: Floats) -> Floats:
 
 
 def _solve(c: Sequence[Floats], depth: Floats, length: Floats) -> Floats:
-    """Where the integral of cubics that are nowhere negative reaches `depth`, in [0, length].
+    """Where the integral of non-negative cubics reaches `depth`, in [0, length].
 
-    Bisection: slower than the kernel's Newton steps, and nothing can go wrong with it.
+    By bisection: slower than the kernel's Newton steps, but it cannot fail.
     """
     low, high = np.zeros_like(length), length.copy()
     for _ in range(60):

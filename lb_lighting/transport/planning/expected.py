@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The error and the time to expect of settings: a pilot, scaled to the voxels of the solve.
+"""The expected error and time of settings: those of a pilot, scaled to the voxels of the solve.
 
-docs/measurements/speed-and-accuracy.md shows the measurements that the scaling was fitted to.
+docs/measurements/speed-and-accuracy.md has the measurements that the scaling is fitted to.
 """
 
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from ..medium import Medium
 from ..solver import Settings
 from .pilot import EVENER, Pilot, effort, work_of_rays
 
-SAFE = 0.85  # share of the target that an expected error must keep to
+SAFE = 0.85  # share of the target that an expected error may use
 
-_NOISE = (0.3, 0.5)  # shares of the target: the least and the most noise of photons
-# The share of the lattice's error that is left with photons before it.
+_NOISE = (0.3, 0.5)  # least and most noise of photons, as shares of the target
+# The share of the lattice's error that remains when photons precede it.
 _LEFT = (0, 1, 2, 4), (1, 0.75, 0.6, 0.45)  # by handover
 _FIXED = 0.04  # s that the smallest solve takes; half of it without a lattice
 _FEWEST_PHOTONS = 10_000
@@ -25,7 +25,7 @@ _FEWEST_PHOTONS = 10_000
 
 @dataclass(frozen=True)
 class Expectation:
-    """What to expect of `Settings` in one medium.
+    """The expected error and time of `Settings` in one medium.
 
     edge    voxels along the longest edge of the box of all matter
     target  relative error that the number of photons is chosen for
@@ -40,7 +40,7 @@ class Expectation:
         """(`Settings` with the photons that the target needs, their expected relative error)."""
         pilot = self.pilot
         sampling = pilot.sampling * settings.rays**-EVENER
-        if self.edge > FEW_VOXELS >= pilot.edge:  # large domains take half the rays along an edge
+        if self.edge > FEW_VOXELS >= pilot.edge:  # large domains use half the rays along an edge
             sampling *= 2**EVENER
         if settings.scattering == "single":
             return settings, hypot(max(pilot.share, pilot.mean), sampling)
@@ -54,7 +54,7 @@ class Expectation:
         if not settings.handover:
             return settings, error
 
-        # Choose the number of photons by the noise that is left for them.
+        # Choose the number of photons by the noise that they may have.
         noise = pilot.noise * large / pilot.edge  # of a single photon
         if not noise:  # the pilot traced none
             return settings, inf
@@ -64,7 +64,7 @@ class Expectation:
         return replace(settings, photons=photons), hypot(error, noise / sqrt(photons))
 
     def seconds(self, settings: Settings) -> float:
-        """The seconds that a solve should take."""
+        """The expected time of a solve, s."""
         pilot = self.pilot
         scale = pilot.air * effort(settings.rays)
         once = pilot.once * scale * work_of_rays(self.edge) / work_of_rays(pilot.edge)
@@ -87,11 +87,11 @@ class Expectation:
         return float(seconds)
 
     def seconds_of_photon(self, handover: float) -> float:
-        """The seconds that one photon should take."""
+        """The expected time of one photon, s."""
         return self.pilot.trace * self._path(handover)
 
     def seconds_of_step(self, settings: Settings) -> float:
-        """The seconds that one step of the lattice should take; 0 where the pilot took none."""
+        """The expected time of one lattice step, s; 0 if the pilot took none."""
         pilot = self.pilot
         if not pilot.steps[0] or not pilot.solve:
             return 0.0
@@ -104,8 +104,8 @@ class Expectation:
         merging = self.pilot.merging * growth
         if not settings.handover:
             return merging
-        # The lattice is wrong in what photons make uneven, too. Measured: .35 of its error at a
-        # growth of 1, .7 at 3.
+        # The lattice also errs where photons make its source uneven. Measured: .35 of its error at
+        # a growth of 1, .7 at 3.
         return hypot(merging, self.pilot.error * growth / (growth + 1.6))
 
     def _edges(self, settings: Settings) -> tuple[float, float]:

@@ -4,8 +4,8 @@
 Only the box of all matter is solved, and light is weighted by its visibility (`visibility`), so
 that empty air around a medium changes neither the prediction nor its quality.
 
-Photons measure the error of the lattice. Two small sets suffice: their noise is independent, and
-drops out of the product of both differences.
+Photons measure the error of the lattice. Two small sets suffice: their noise is independent and
+drops out of the product of their differences from the lattice.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,8 +35,8 @@ MERGES = (1, 2, 4, 8)  # voxels along an edge that a plan may merge
 _EDGE = 32  # voxels along the longest edge of the pilot
 _PHOTONS = (20_000, 60_000)  # of two sets; the larger one measures the time of a photon
 _ALONE = 4  # the larger set is so many times larger where there is no lattice
-_PROBES = 500  # photons that count collisions where no lattice does
-_SHARP, _MORE = 0.02, 4  # targets up to the first take so many times more photons
+_PROBES = 500  # photons that count collisions if there is no lattice
+_SHARP, _MORE = 0.02, 4  # targets up to the first value use this many times more photons
 _CLOSE = 0.10  # targets up to this measure the lattice's error; the others assume the usual one:
 _USUAL = 0.065  # the largest error of the lattice without photons in docs/theory/physics.md
 _FAR = 300  # collisions of a photon beyond which the lattice takes over in the pilot, too
@@ -55,15 +55,15 @@ class Pilot:
 
     edge        voxels along the longest edge, of the box that holds all matter
     share       share of scattered light in all light
-    mean        the same in the mean: how much darker a picture is without it
-    once        s, a solve of uncollided light alone
+    mean        the same of the means: how much darker a picture is without scattered light
+    once        s, of a solve of uncollided light alone
     sampling    error of the usual number of rays; 0 where uncollided light is not shown
-    error       of the lattice alone; infinite where it cannot be used
-    merging     change by merging 2 voxels along an edge; infinite where it cannot be done
-    rays        s, all but the lattice of a solve with one
-    solve       s, the lattice, for `steps`
+    error       of the lattice alone; infinite if it cannot be used
+    merging     change by merging 2 voxels along an edge; infinite if that is impossible
+    rays        s, of everything but the lattice in a solve with one
+    solve       s, of the lattice, for `steps`
     steps       of the lattice at `edge`, and at half of it
-    trace       s for each photon that is traced to a handover of `traced`
+    trace       s, of each photon, traced to a handover of `traced`
     traced      that handover, in transport optical depths
     noise       of one photon; that of n is smaller by the square root of n
     collisions  mean number of a photon's collisions until it is absorbed or leaves
@@ -103,7 +103,7 @@ def fly(
 ) -> Pilot:
     """Measure the `Pilot` of a medium.
 
-    settings  its model and tolerance count
+    settings  its model and tolerance are used
     target    relative error of the plan
     thin      share of scattered light if it is known and small; None to measure it
     The other arguments are those of `planner.plan`. Raises what `solve` raises.
@@ -142,15 +142,15 @@ def fly(
     flight = _Flight(small, weight, single, solved, target, _is_dark(medium), is_slow)
     pilot = flight.with_scattered(pilot)
     if scattered:
-        # The error of the lattice includes that of few rays.
+        # The error of the lattice includes that of using few rays.
         pilot = replace(pilot, sampling=0.0)
     missing = (prod(whole.shape) / prod(medium.shape)) ** (2 / 3)  # most photons miss the box
     return replace(pilot, noise=pilot.noise * sqrt(missing), trace=pilot.trace / missing)
 
 
 def effort(rays: float) -> float:
-    """Time of rays, relative to the usual number. Few rays do not fill a device: measured in media
-    of 32^3 voxels under a sky, half of them along an edge take .47 of the time."""
+    """Time of rays, relative to the usual number. Few rays do not fill a device: with half of them
+    along an edge, media of 32^3 voxels under a sky took .47 of the time."""
     return rays**2 if rays >= 1 else 0.3 + 0.7 * rays**2
 
 
@@ -170,8 +170,8 @@ def _within(medium: Medium, box: Box) -> Medium:
 
 
 def _air(whole: Sequence[int], box: Sequence[int], lights: Sequence[Light]) -> float:
-    """The work of uncollided light in a domain, relative to a box in it (shapes): rays of suns and
-    skies stay in the box, rays of lamps cross the whole domain."""
+    """The work of uncollided light in a domain, relative to a box in it (both are shapes). Rays of
+    suns and skies stay in the box; rays of lamps cross the whole domain."""
     work = [work_of_rays(max(shape)) / max(shape) ** 3 for shape in (whole, box)]
     if all(isinstance(light, (Sun, Sky)) for light in lights):
         return work[0] / work[1]
@@ -179,7 +179,7 @@ def _air(whole: Sequence[int], box: Sequence[int], lights: Sequence[Light]) -> f
 
 
 def _pieces(medium: Medium, settings: Settings) -> int:
-    """Pieces that voxels are divided into; 1 where they are too dark for any number."""
+    """Pieces that voxels are divided into; 1 if they are too dark for any number."""
     if settings.divide:
         return settings.divide
     try:
@@ -189,7 +189,7 @@ def _pieces(medium: Medium, settings: Settings) -> int:
 
 
 def _is_dark(medium: Medium) -> bool:
-    """Whether voxels are too dark for the lattice, whatever their division."""
+    """Whether voxels are too dark for the lattice however finely they are divided."""
     try:
         wished_pieces(medium)
     except MediumError:
@@ -213,7 +213,7 @@ class _Flight:
     single   the `Field` of uncollided light
     solved   solves the medium, with changes of `Settings`
     target   relative error
-    is_dark  whether the lattice cannot be used in the voxels of the plan, either
+    is_dark  whether the lattice cannot be used in the plan's voxels either
     is_slow  whether photons take many times as long as with OpenCL
     """
 
@@ -227,7 +227,7 @@ class _Flight:
 
     @property
     def patience(self) -> int:
-        """How many times longer the pilot may take: more for a tight target."""
+        """The factor on the time that the pilot may take: larger for a tight target."""
         return 1 if self.target >= _CLOSE else _LONGER
 
     def with_scattered(self, pilot: Pilot) -> Pilot:
@@ -258,8 +258,8 @@ class _Flight:
         return self._with_photons(pilot, whole, traced, light) if traced else pilot
 
     def _lattice(self, pieces: int, **changes: Any) -> Field | None:
-        """The `Field` of the lattice within a pilot's steps; None where the pilot's voxels are too
-        dark for it, or would need too many pieces."""
+        """The `Field` of the lattice, within a pilot's number of steps; None if the pilot's voxels
+        are too dark for it or would need too many pieces."""
         if pieces > _PIECES * (1 if self.patience == 1 else 2):
             return None
         try:
@@ -281,13 +281,13 @@ class _Flight:
         if probe is None:
             probe = self.solved(handover=inf, photons=_PROBES, rays=_ROUGHEST)
         collisions = self._collisions(probe)
-        # Photons go to their end if it is near: a lattice that takes over would add its own error.
+        # Trace photons to their end if it is near: a lattice would add its own error.
         if whole is not None and whole.report.converged and collisions > _FAR:
             pilot = replace(pilot, traced=4.0)
             transport = 1 / (1 - float((self.medium.albedo * self.medium.g).max()))
             collisions = min(collisions, 1 + 4.0 * transport)
         counts = [n * (_MORE if self.target <= _SHARP else 1) for n in _PHOTONS]
-        if whole is None:  # photons alone: their time has to be measured well
+        if whole is None:  # photons alone: measure their time well
             counts[1] *= _ALONE
         allowed = _COLLISIONS * self.patience / (max(collisions, 1.0) * self._runs * sum(counts))
         counts = [
@@ -305,15 +305,15 @@ class _Flight:
     ) -> Pilot:
         """The `Pilot` with the time of the lattice, and the error of merging its voxels.
 
-        half, whole  its `Field`s in merged voxels, or None, and in all voxels
-        seconds      that the second took
-        light        norm of all light, which errors are relative to
+        half, whole  the lattice's `Field`s in merged voxels, or None, and in all voxels
+        seconds      that `whole` took
+        light        norm of all light, to which errors are relative
         """
         solving, casting = (whole.report.seconds.get(name, 0.0) for name in ("solve", "direct"))
         off = inf if half is None else size(whole.fluence - half.fluence, self.weight) / light
         return replace(
             pilot,
-            # Include what is left where it was not stepped to its end.
+            # Include the residual of a lattice that has not converged.
             error=hypot(_USUAL, 0.0 if whole.report.converged else whole.report.residual),
             merging=off,
             rays=seconds - solving - casting + casting / effort(_ROUGH),
@@ -322,7 +322,7 @@ class _Flight:
         )
 
     def _with_finer_lattice(self, pilot: Pilot) -> Pilot:
-        """The `Pilot` where its voxels are too dark for the lattice, but not those of the plan: it
+        """The `Pilot` if its voxels are too dark for the lattice, but those of the plan are not: it
         takes a few steps to measure their time."""
         start = perf_counter()
         tried = self.solved(divide=1, most_steps=FEWEST_STEPS, rays=_ROUGH)
@@ -346,18 +346,18 @@ class _Flight:
         between = size(few.fluence - many.fluence, self.weight) / light
         noise = between / sqrt(sum(1 / count for count in counts))
         short, long = (field.report.seconds["trace"] for field in (few, many))
-        # A trace takes time for much else, too.
+        # A trace also spends time on other work.
         trace = max((long - short) / (counts[1] - counts[0]), long / counts[1] / 4)
         pilot = replace(pilot, noise=noise, trace=trace)
         if whole is None:
             return pilot
         one, other = ((whole.fluence - field.fluence).astype(float) for field in (few, many))
         squared = float(np.vdot(self.weight * one, other)) / light**2
-        # The part of it that noise hides, if the noise is even over the voxels.
+        # The part of the error that noise hides, if the noise is even over the voxels.
         voxels = float(self.weight.sum() ** 2 / (np.vdot(self.weight, self.weight) or 1.0))
         unknown = noise**2 / sqrt(counts[0] * counts[1] * max(voxels, 1.0))
         error = sqrt(max(squared, 0.0) + unknown)
-        # Where noise hides it, assume no more than the usual error.
+        # If noise hides the error, assume no more than the usual one.
         return replace(pilot, error=error if squared > 2 * unknown else min(error, pilot.error))
 
     def _collisions(self, field: Field) -> float:
@@ -369,5 +369,5 @@ class _Flight:
 
 
 def _of_usual(change: float) -> float:
-    """The error of the usual number of rays, from the change by half of them."""
+    """The error of the usual number of rays, from the change due to using half of them."""
     return change / hypot(1.0, _ROUGH**-EVENER)

@@ -2,7 +2,7 @@
 """From an error target to settings: the cheapest ones that should meet it.
 
 A `Pilot` solves the medium in few voxels; `expected` scales its errors and times to the voxels of
-the solve, for each way of solving; the planner chooses the cheapest way that keeps to the target.
+the solve, for each way of solving; the planner chooses the cheapest way that meets the target.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,9 +23,9 @@ from .expected import SAFE, Expectation
 from .pilot import FEWEST_STEPS, MERGES, fly
 from .reasons import outcome, reasons
 
-# The relative error (L2) of all visible light (`visibility`) that each quality aims at.
+# The target of each quality: the relative error (L2) of all visible light (`visibility`).
 TARGETS = {"preview": 0.20, "draft": 0.10, "final": 0.05, "reference": 0.02}
-# The seconds that each quality may expect a solve to take, if there is a choice.
+# The budget of each quality: the expected seconds of a solve, if there is a choice.
 BUDGETS = {"preview": 20.0, "draft": 20.0, "final": inf, "reference": inf}
 STOP = 0.2  # share of the target: the error at which the lattice stops
 
@@ -33,23 +33,23 @@ _HANDOVERS = (0.0, 1.0, 2.0, 4.0, inf)
 _RAYS = (0.5, 1.0, 2.0, 4.0)
 _FEWEST_VOXELS = 8  # along the longest edge of a lattice
 _FEWEST_PHOTONS = 10_000
-_NEARLY = 1.1  # times the smallest error: more time for less than that is not worth it
+_NEARLY = 1.1  # times the smallest error: a smaller gain is not worth more time
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings for a medium, and what to expect of them.
+    """Settings for a medium, with their expected error, time and memory.
 
     settings  `Settings`
     quality   the name of the target
     target    relative error (L2) of all visible light
-    error     that is expected, the error of stopping and noise included
-    seconds   that the solve is expected to take
+    error     expected, including noise and the error of stopping the lattice early
+    seconds   expected, of the solve
     bytes     of memory
     device    label of the device
-    reasons   sentences: what was chosen, and why
+    reasons   sentences that say what was chosen, and why
     spent     seconds that planning took
-    budget    seconds that the solve should take at most
+    budget    most seconds that the solve should take
     """
 
     settings: Settings
@@ -98,19 +98,19 @@ def plan(
 
     medium, lights, device, cancel  as for `solve`
     quality    "preview", "draft", "final" or "reference": errors of 20, 10, 5 and 2 %
-    fixed      {name: value} of `Settings` that are given
-    scattered  whether surfaces show the light, while the renderer adds the direct light of lamps:
-               then scattered light is never left out
-    budget     seconds that the solve may be expected to take; None for the quality's: 20 for
-               preview and draft, any number for the others
-    If no way within the budget should meet the target, the plan is the most exact one within it; if
-    none is within the budget, the fastest one. Raises what `solve` raises.
+    fixed      {name: value} of the given `Settings`
+    scattered  whether surfaces show the light while the renderer adds the direct light of lamps:
+               scattered light is then never left out
+    budget     largest expected time of the solve, s; None for the quality's: 20 for preview and
+               draft, unlimited for the others
+    If no way within the budget is expected to meet the target, the plan is the most accurate one
+    within it; if none is within the budget, it is the fastest one. Raises what `solve` raises.
     """
     require_known(quality, tuple(TARGETS), "quality")
     start, target, fixed = perf_counter(), TARGETS[quality], dict(fixed or {})
     budget, lights = BUDGETS[quality] if budget is None else budget, list(lights)
 
-    # Fix single scattering where a bound of the scattered light shows that it is enough.
+    # Fix single scattering if an upper bound of the scattered light shows that it suffices.
     if scattered:
         fixed.setdefault("scattering", "multiple")
     bound = _largest_share_of_scattered(medium)
@@ -119,7 +119,7 @@ def plan(
         fixed["scattering"] = "single"
     base = replace(Settings(tolerance=STOP * target), **fixed)
 
-    # Solve in few voxels, and scale that to each way of solving in all of them.
+    # Solve in few voxels, and scale the results to each way of solving in all voxels.
     pilot = fly(medium, lights, base, target, device, cancel, thin=thin, scattered=scattered)
     expected = Expectation(pilot, medium, max(matter(medium, lights).shape), target)
     choices = _choices(base, fixed, expected, _handovers(medium, lights))
@@ -127,7 +127,7 @@ def plan(
     if budget < inf and "photons" not in fixed:
         choices += _with_fewer_photons(choices, expected, budget)
 
-    # Take the best one that fits into memory.
+    # Take the best choice that fits into memory.
     chosen, memory = _first_that_fits(_in_order(choices, target, budget), medium, lights, device)
     settings = chosen.settings
     if "most_steps" not in fixed:
@@ -155,7 +155,7 @@ def _choices(
 def _candidates(
     base: Settings, fixed: Mapping[str, Any], edge: int, handovers: Sequence[float]
 ) -> Iterator[Settings]:
-    """`Settings` to choose from: all combinations with what is fixed."""
+    """`Settings` to choose from: all combinations with the fixed ones."""
     merges = [m for m in MERGES if m == 1 or edge / m >= _FEWEST_VOXELS]
     dials: dict[str, Sequence[Any]] = {"rays": _RAYS, "merge": merges, "handover": handovers}
     dials |= {name: [fixed[name]] for name in dials if name in fixed}
@@ -168,7 +168,7 @@ def _candidates(
 
 
 def _handovers(medium: Medium, lights: Sequence[Light]) -> Sequence[float]:
-    """Handovers to try: photons ignore a lamp's radius, which matters inside of the medium."""
+    """Handovers to try. Photons ignore a lamp's radius, which matters inside the medium."""
     soft = any(light.is_soft_within(medium.domain) for light in lights)
     return (0.0,) if soft else _HANDOVERS
 
@@ -180,7 +180,7 @@ def _may_be_single(fixed: Mapping[str, Any]) -> bool:
 
 
 def _in_order(choices: Sequence[_Choice], target: float, budget: float) -> list[_Choice]:
-    """The choices, the best first."""
+    """The choices, best first."""
     fast = [choice for choice in choices if choice.seconds <= budget]
     good = [choice for choice in fast if choice.error <= SAFE * target]
     least = min((choice.error for choice in fast), default=0.0)
@@ -197,7 +197,7 @@ def _in_order(choices: Sequence[_Choice], target: float, budget: float) -> list[
 def _with_fewer_photons(
     choices: Sequence[_Choice], expected: Expectation, budget: float
 ) -> list[_Choice]:
-    """The choices whose photons exceed the budget, with as many photons as it allows."""
+    """The choices whose photons exceed the budget, with as many photons as fit into it."""
     affordable = []
     for choice in choices:
         settings = choice.settings
@@ -244,9 +244,9 @@ def _largest_share_of_scattered(medium: Medium) -> float:
     """An upper bound of scattered light's share of all visible light: the scattering probability
     along the deepest line parallel to an axis.
 
-    To scatter light once more is a linear operator K. In the norm of `visibility` its kernel is
-    symmetric, so its norm is at most its largest row sum: the probability to scatter again,
-    averaged over directions. That of the deepest line is larger than the average.
+    One more scattering is a linear operator K. In the norm of `visibility` its kernel is symmetric,
+    so its norm is at most its largest row sum: the probability of scattering again, averaged over
+    directions. The probability along the deepest line is larger than this average.
     """
     depth = medium.depth(medium.sigma_s.max())
     if medium.occlusion is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What was planned and why, in sentences for the artist."""
+"""The plan and its reasons, in sentences for the artist."""
 
 from collections.abc import Sequence
 from math import ceil, inf, prod
@@ -42,9 +42,9 @@ def outcome(
     budget: float,
     quickest: float | None,
 ) -> str:
-    """Whether the target and the budget should be kept to, and what would help.
+    """Whether the plan is expected to meet the target and the budget, and what would help.
 
-    error, seconds  that are expected
+    error, seconds  expected
     quickest        seconds of the fastest way that meets the target; None if there is none
     """
     met = error <= target

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Norms of the light in a medium that count what a picture shows of it.
+"""Norms of the light in a medium that count only visible light.
 
-A picture shows light that scatters towards it, or that falls on surfaces. Light that crosses empty
-air is in neither: a domain can be full of it while the small cloud in it is dark. So the squares of
-the fluence are weighted by sigma_s times density, the power that a voxel scatters per fluence; in a
-medium of leaves that is the area that shows light.
+A picture shows light that scatters towards the camera or falls on surfaces. Light that crosses
+empty air does neither: it can fill a domain while the small cloud in it is dark. So the squares of
+the fluence are weighted by sigma_s times density, the power that a voxel scatters per fluence. In a
+medium of leaves, this is the area that shows light.
 """
 
 import numpy as np
@@ -16,9 +16,9 @@ from ..medium import Medium
 def weights(medium: Medium, surfaces: bool = False) -> Floats:
     """(bands, nx, ny, nz) float64: scattering in each voxel, relative to the largest.
 
-    surfaces  whether surfaces show light: then voxels in front of opaque ones count, too, by what
-              these reflect. They also count where nothing else scatters
-    All zeros where nothing is visible: in a medium that only absorbs.
+    surfaces  whether surfaces show light: voxels in front of opaque ones then count by the light
+              that these reflect. They also count if nothing else scatters
+    All weights are 0 in a medium that only absorbs, where nothing is visible.
     """
     density = medium.density / (float(medium.density.max()) or 1.0)
     scattering = medium.sigma_s[:, None, None, None] * density.astype(float)
@@ -36,8 +36,8 @@ def size(grid: Floats, weight: Floats) -> float:
 def mean_share(part: Floats, whole: Floats, weight: Floats) -> float:
     """The share of a part of the light in the weighted mean; 0 where nothing is visible.
 
-    It is larger than the share in the L2 norm around a lamp in a medium, whose direct light is very
-    bright in few voxels.
+    Around a lamp in a medium it is larger than the share in the L2 norm, as the lamp's direct light
+    is very bright in a few voxels.
     """
     means = [float(np.vdot(weight, grid.astype(float))) for grid in (part, whole)]
     return means[0] / means[1] if means[1] else 0.0

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A picture of a lit medium by free path sampling alone: nothing is solved or stored.
+"""Pictures of a lit medium by free path sampling alone: nothing is solved or stored.
 
-A path goes from the camera into the medium on free paths. At each collision another free path is
-drawn towards each sun and point light, and the light counts if the path arrives (next-event
-estimation); the sky counts where a path leaves after a collision. So the pictures are unbiased
-estimates of the solution of the transfer equation, in any density, and averaging removes the noise.
+A path enters the medium from the camera. At each collision another free path is drawn towards each
+sun and point light, and the light counts if the path arrives (next-event estimation); the sky
+counts where a path leaves after a collision. The pictures are therefore unbiased estimates of the
+solution of the transfer equation, in any density, and averaging removes the noise.
 
 kernels/preview/preview.cl follows the paths; `NumpyEye` is its twin.
 """
@@ -38,9 +38,9 @@ from ..photons.path_grid import PathGrid, enter
 from ..photons.perlin import PerlinMedium
 from ..photons.tallies import Opaque
 
-_COARSEST = 8  # pixels between those that are sampled first
+_COARSEST = 8  # spacing, in pixels, of those that are sampled first
 _PIECE = 0.2  # s, the time that a piece of a picture should take
-_MOST_STEPS = 2 * 10**5  # of a path, before it is given up: some milliseconds
+_MOST_STEPS = 2 * 10**5  # of a path, before it is abandoned: some milliseconds
 _ANY = 2**30  # scatterings of a path
 
 
@@ -48,11 +48,11 @@ _ANY = 2**30  # scatterings of a path
 class View:
     """A camera.
 
-    matrix       (3, 4) or (4, 4): its axes to the right, up and back, and its place in m, as
-                 columns: `matrix_world` of a camera of Blender, unscaled
-    height       of the picture: m; with perspective, of what is seen at a distance of 1
+    matrix       (3, 4) or (4, 4): as columns, its axes to the right, up and back, and its position
+                 in m: the unscaled `matrix_world` of a Blender camera
+    height       of the picture, m; with perspective, of the view at a distance of 1
     size         (width, height) in pixels
-    perspective  whether rays come from the camera's place, and not from a plane through it
+    perspective  whether rays start at the camera's position instead of a plane through it
     """
 
     matrix: Floats
@@ -77,7 +77,7 @@ class View:
         up: Vector = (0, 0, 1),
         size: tuple[int, int] = (160, 120),
     ) -> "View":
-        """All of a `Domain` without perspective, along `direction` (3,)."""
+        """A view of a whole `Domain` without perspective, along `direction` (3,)."""
         back = -np.divide(direction, np.linalg.norm(direction))
         right = np.cross(up, back)
         if np.linalg.norm(right) < 1e-6:  # from above or below
@@ -91,8 +91,8 @@ class View:
         return cls(np.column_stack([axes.T, center]), float(height), (size[0], size[1]))
 
     def rays(self, pixels: Integers, within: Floats) -> tuple[Floats, Floats]:
-        """Origins in m and directions, (n, 3) each, through pixels (n,), row by row from the lower
-        left; `within` (n, 2) are the places in them, in [0, 1)."""
+        """Origins in m and directions, (n, 3) each, of rays through pixels (n,), counted row by row
+        from the lower left; `within` (n, 2) are the places in the pixels, in [0, 1)."""
         columns, rows = self.size
         place = np.stack([pixels % columns, pixels // columns], axis=1) + within
         x, y = ((place - np.divide(self.size, 2)) * (self.height / rows)).T
@@ -108,10 +108,10 @@ class Picture:
     """The mean of all paths so far.
 
     pixels   (height, width, 4) float32, the lower row first as in Blender: linear red, green and
-             blue, W/(m^2 sr), and the share of rays that met something. The light of what is
-             behind is not in it, so that it can be put over any background as it is
-    samples  paths of a pixel, on average
-    lost     share of paths that took too long and were given up, so that light is missing
+             blue, W/(m^2 sr), and the share of rays that met something. It excludes the light of
+             the background, so it can be composited over any background
+    samples  mean number of paths per pixel
+    lost     share of paths that were abandoned because they took too long; their light is missing
     """
 
     pixels: Floats
@@ -129,20 +129,20 @@ def pictures(
     sampler: str = "supervoxel_constant",
     scatterings: int | None = None,
 ) -> Iterator[Picture]:
-    """An endless series of better and better `Picture`s; the generator may be closed at any time.
+    """An endless series of ever better `Picture`s; the generator may be closed at any time.
 
     medium       of one band or three, with its emission and opaque voxels (those on the domain's
-                 faces are seen from inside only). Its shift between bands is left out
-    lights       `Sun`s, `Sky`s and `PointLight`s; the shadow density of a sun is left out
+                 faces are seen from inside only). Its shift between bands is ignored
+    lights       `Sun`s, `Sky`s and `PointLight`s; the shadow density of a sun is ignored
     view         `View`
     device       None for the best, or part of the label of one of `device.devices()`
-    seed         0 to 2^32 - 1; pictures of whole samples depend on nothing else
+    seed         0 to 2^32 - 1; on a given device, it determines pictures of whole samples
     sampler      one of free_path.SAMPLERS; the default is the quickest to prepare
-    scatterings  the most that light may have undergone; 1 for single scattering, None for all
+    scatterings  the largest number of scatterings; 1 for single scattering, None for all
     The first picture is coarse; the first with a sample in each pixel follows soon. Each picture
-    takes about a fifth of a second more.
+    takes about another fifth of a second.
     Raises MediumError, LightError, SettingsError, DeviceError, or SolverError where the density
-    exceeds its majorant, which would be a bias.
+    exceeds its majorant, which would bias the pictures.
     """
     require_whole(seed, "seed", 0, 2**32 - 1)
     if scatterings is not None:
@@ -168,7 +168,7 @@ def pictures(
 
 
 class _Camera:
-    """Takes one sample of pixels at a time; holds what all samples share."""
+    """Takes one sample of pixels at a time; holds the state that all samples share."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class _Camera:
         self.alike = [[n for n, o in enumerate(optics) if o == shared] for shared in {*optics}]
 
     def __call__(self, pixels: Integers, within: Floats, stream: int) -> Floats:
-        """(n, 4): light in three bands, and whether something was met, of a path in each pixel."""
+        """(n, 4): light in three bands, and whether the path met something, for each pixel."""
         origins, directions = self.view.rays(pixels, within)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         _, inside, hit = enter(self.grid, origins, directions)
@@ -209,7 +209,7 @@ class _Camera:
         return sample
 
     def _see(self, rays: Floats, pixels: Integers, stream: int, band: int) -> tuple[Floats, Floats]:
-        """Light in three bands, (n, 3), and whether something was met, by the paths of a band."""
+        """Light in three bands, (n, 3), and whether something was met, for the paths of a band."""
         medium = self.medium
         seen, left, violations = self.eye.see(
             *(rays, pixels, self.grid.per_depth(band), stream, _MOST_STEPS, self.scatterings),
@@ -235,7 +235,7 @@ def _footprint(shape: Sequence[int], medium: Medium | PerlinMedium) -> Footprint
 
 
 def _targets(lights: Sequence[Light], medium: Medium | PerlinMedium, grid: PathGrid) -> Floats:
-    """(n, 8) float32: the suns and point lights, as kernels/preview/preview.cl takes them."""
+    """(n, 8) float32: the suns and point lights, in the format of kernels/preview/preview.cl."""
     targets: list[tuple[float, ...]] = []
     for light in lights:
         if isinstance(light, Sun):
@@ -254,7 +254,7 @@ def _targets(lights: Sequence[Light], medium: Medium | PerlinMedium, grid: PathG
 
 
 def _shining(medium: Medium | PerlinMedium) -> Floats | None:
-    """(voxels, 4) float32 W/(m^2 sr) that the medium emits along a voxel's edge; or None."""
+    """(voxels, 4) float32 W/(m^2 sr) that the medium emits over a voxel's edge; or None."""
     if medium.emission is None:
         return None
     return _three_bands(medium.emission * np.float32(medium.voxel_size / (4 * np.pi)))
@@ -279,15 +279,15 @@ def _three_bands(grids: Floats) -> Floats:
 
 
 def _coarse_first(size: tuple[int, int]) -> Integers:
-    """The pixels of a picture: those on a coarse lattice, then on finer and finer ones."""
+    """The pixels of a picture: those of a coarse lattice first, then of ever finer ones."""
     columns, rows = size
     y, x = np.indices((rows, columns)).reshape(2, -1)
     place = x | y | _COARSEST
-    return np.argsort(-(place & -place), kind="stable")  # the largest power of two that fits both
+    return np.argsort(-(place & -place), kind="stable")  # largest power of two in both
 
 
 def _filled(sums: Floats, samples: Integers, size: tuple[int, int]) -> Floats:
-    """(height, width, 4) float32: means; pixels that have none take those of coarser lattices."""
+    """(height, width, 4) float32: means; pixels without samples take those of coarser lattices."""
     columns, rows = size
     means = sums / np.maximum(samples, 1)[:, None]
     pixels = means.astype(np.float32).reshape(rows, columns, 4)

@@ -36,10 +36,10 @@ class NumpyEye:
         """(seen (n, 4), left (n, 8), number of violated majorants).
 
         seen     light in three bands, W/(m^2 sr), and whether the path met something
-        left     direction, whether the path was given up, and its weight in three bands where it
+        left     direction, whether the path was abandoned, and its weight in three bands if it
                  left after a collision
         rays     (6, n) float32, as those of `NumpyPaths.free_paths`
-        numbers  (n,) of the rays, which choose their random numbers
+        numbers  (n,) of the rays, which select their random numbers
         albedo   (3,)
         """
         paths = _Paths(self, Walk(self.grid, rays, per_depth, seed, numbers), most_steps)
@@ -86,7 +86,7 @@ class _Paths:
         return met[self.collisions[met] <= most_collisions]
 
     def light_up(self, rays: Integers, light: Floats, g: float) -> Integers:
-        """Follow a flight from each collision to a light and back. Returns paths not given up."""
+        """Follow a flight from each collision to a light. Returns the paths not abandoned."""
         walk = self.walk
         state = [values[rays].copy() for values in (walk.d, walk.cell, walk.voxel)]
         towards = light[:3] - walk.o[rays] if light[3] > 0 else np.tile(light[:3], (len(rays), 1))
@@ -146,7 +146,7 @@ class _Paths:
         return event
 
     def _glow(self, rays: Integers) -> None:
-        """Score the emission at points a fine cell apart, up to where the flights have come."""
+        """Score the emission at points a fine cell apart, up to the flights' present points."""
         walk = self.walk
         while self.eye.emission is not None:
             due = rays[self.score_at[rays] < walk.t[rays]]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Statistics of a medium from free path samples, before anything is baked, and advice from them.
 
-Rays start like the light of a uniform sky, by the cosine, at the border of the box that holds all
-matter. Their mean length through a convex box is 4 V / S (Cauchy), and they sample all of it alike.
+Rays start like the light of a uniform sky, cosine-distributed, at the border of the box that holds
+all matter. Their mean length through a convex box is 4 V / S (Cauchy), and they sample it evenly.
 """
 
 from collections.abc import Sequence
@@ -22,30 +22,30 @@ from ..photons.free_path import SAMPLERS, FreePathSampler
 from ..photons.perlin import PerlinMedium
 
 _RAYS, _FEWEST_RAYS = 2**16, 2**8
-_TIMED = 0.1  # s that a sampler is timed for at least, unless it needs less for all rays
+_TIMED = 0.1  # s, the least time of timing a sampler, unless all rays take less
 _BINS = 48
 _VOXELS_OF_NOISE = 64  # along an edge: noise itself is never integrated
 
 # Optical depth times albedo up to which multiply scattered light is less than 5 % of a picture
-# (7 % if the medium scatters forward, away from the camera), and the albedo up to which it is at
-# any depth: docs/theory/free-paths.md, "Preview".
+# (7 % if the medium scatters forward, away from the camera), and the albedo up to which this holds
+# at any depth: docs/theory/free-paths.md, "Preview".
 _THIN, _DARK = 0.05, 0.04
-# Edge of a voxel in transport free paths: below the first, more voxels make light no more right
-# (docs/theory/physics.md, "By resolution"); above the second, voxels are divided, as they are
-# above the last in diffusion lengths, where absorption fades light ("Voxels that are too thick").
+# Edge of a voxel in transport free paths: below the first, more voxels do not improve the light
+# (docs/theory/physics.md, "By resolution"); above the second, voxels are divided, as they are above
+# the last, in diffusion lengths, because of absorption ("Voxels that are too thick").
 _RESOLVED, _THICKEST, _DARKEST = 0.5, 3.0, 0.9
 _DENSE = 10.0  # optical depth from which a medium is called dense
-_MOST_VOXELS = 512  # along an edge, the most that is advised
+_MOST_VOXELS = 512  # along an edge, the largest number that is advised
 _STEP = 8  # of the numbers of voxels that are advised
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How fast one sampler is.
+    """The speed of one sampler.
 
     acceptance   real collisions over tentative ones, NaN where there were none
     rays_a_second
-    preparation  s, of its bounds
+    preparation  s, for its majorants
     """
 
     acceptance: float
@@ -55,7 +55,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What free paths measure of a medium, in the band of its largest extinction.
+    """Statistics of a medium's free paths, in the band of its largest extinction.
 
     band             that band
     rays             number of rays that were drawn
@@ -63,7 +63,7 @@ class Statistics:
     edges            (bins + 1,) m, of the bins
     even             (bins,) expected counts of a homogeneous medium of the same mean free path
     mean_free_path   m flown in that box for each collision; infinite where nothing collides
-    in_matter        m, the mean free path inside matter: that of a voxel of `voxel_depth`
+    in_matter        m, the mean free path inside matter: in a voxel of `voxel_depth`
     escaped          share of rays that left without a collision
     depth_mean       (3,) optical depth through the domain along x, y and z, mean of all columns
     depth_max        (3,) that of the deepest column
@@ -105,7 +105,7 @@ def statistics(
     """The `Statistics` of a medium, from free paths of a number of rays.
 
     device    None for the best, or part of the label of one of `device.devices()`
-    samplers  those of free_path.SAMPLERS to time; each takes about 0.2 s, and its preparation
+    samplers  those of free_path.SAMPLERS to time; each takes about 0.2 s after its preparation
     Opaque voxels are ignored. Raises SettingsError or DeviceError.
     """
     require_whole(rays, "number of rays", 1, 2**24)
@@ -156,8 +156,8 @@ def advice(measured: Statistics, resolution: int) -> str:
 
 
 def _of_voxel(measured: Statistics, resolution: int) -> tuple[float, float]:
-    """A voxel's edge in transport free paths, and in diffusion lengths, weighed by the albedo as
-    `physical` does."""
+    """A voxel's edge in transport free paths, and in diffusion lengths, weighted by the albedo as
+    in `subdivision`."""
     transport = 1 - measured.albedo * measured.g
     depth = measured.voxel_depth * (measured.voxels / resolution) * measured.albedo
     return depth * transport, depth * np.sqrt(3 * (1 - measured.albedo) * transport)
@@ -166,8 +166,8 @@ def _of_voxel(measured: Statistics, resolution: int) -> tuple[float, float]:
 def histogram_picture(measured: Statistics, width: int = 240, height: int = 80) -> Floats:
     """(height, width, 4) float32: bars of free paths, the lower row first, and a line for `even`.
 
-    For a dark background, which shows through. Bars and line have one scale, the highest of both
-    being the picture's height.
+    The picture is for a dark background, which shows through. Bars and line share one scale: the
+    highest of both fills the picture's height.
     """
     values = np.concatenate([measured.counts, measured.even])
     scale = (height - 2) / max(values.max(), 1)
@@ -183,7 +183,7 @@ def histogram_picture(measured: Statistics, width: int = 240, height: int = 80) 
     picture[...] = (*_BAR, 0)
     picture[..., 3] = np.clip(bars - rows, 0, 1)
     _draw(picture, (rows == 0) * 1.0, _AXIS)
-    # As high in a column as the line rises or falls there, or it would have holes.
+    # In each column as high as the line rises or falls there, or it would have gaps.
     low, high = line - _reach(line), line + _reach(line)
     _draw(picture, np.clip(np.minimum(rows + 1 - low, high - rows), 0, 1), _LINE)
     return picture
@@ -243,7 +243,7 @@ def _of_paths(lengths: Floats, chords: Floats) -> dict[str, Any]:
     furthest = float(lengths[collided].max() if collided.any() else chords.max())
     collisions: Array = lengths[collided]
     counts, edges = np.histogram(collisions, _BINS, (0, furthest))
-    # Of each ray e^(-x/mean) is left at x, up to where it leaves.
+    # The share e^(-x/mean) of each ray remains at x, up to where it leaves.
     left = np.array([np.exp(-np.minimum(edge, chords) / mean).sum() for edge in edges])
     return {
         "counts": counts,

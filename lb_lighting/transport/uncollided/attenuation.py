@@ -13,7 +13,7 @@ _THIN = 0.5  # optical depth up to which series are used
 
 
 class Attenuation(NamedTuple):
-    """What a path of optical depth t does to light; each (n,), finite down to t = 0.
+    """Attenuation along paths of optical depth t; each (n,), finite down to t = 0.
 
     transmittance       T = exp(-t)
     mean_transmittance  m = (1 - T) / t, the mean of the transmittance over the path
@@ -29,7 +29,7 @@ class Attenuation(NamedTuple):
 
 
 def attenuate(depth: Floats) -> Attenuation:
-    """The `Attenuation` over optical depths (n,)."""
+    """The `Attenuation` along paths of optical depths (n,)."""
     transmittance = np.exp(-depth)
     thin = depth < _THIN
     t, far = np.where(thin, depth, 0), np.where(thin, 1, depth)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Casts of a light, shared by bands in which its rays meet the same medium."""
+"""Casts of a light, shared by the bands in which its rays meet the same medium."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -30,8 +30,8 @@ def parts(lights: Sequence[Light]) -> list[tuple[int, Light]]:
 class Rays:
     """Casts of one light, shared by bands with the same extinction.
 
-    Rays are sent once, for example, through leaves, which stop all colours alike, and through smoke
-    whose bands differ in albedo only.
+    Leaves, for example, stop all colours alike, and the bands of some smoke differ only in albedo:
+    rays are sent through these only once.
 
     number           rays along a voxel's edge over the usual number
     device, monitor  as of `casting.cast`
@@ -103,8 +103,8 @@ class Rays:
             return light, 1.0
         total = float(np.sum(other, dtype=float))
         ratio = float(np.sum(albedo, dtype=float)) / total if total else 1.0
-        # Light that the border reflects out of the domain is not tallied apart from other light
-        # that leaves.
+        # Light that the border reflects out of the domain is not tallied separately from other
+        # light that leaves.
         is_multiple = same(albedo, ratio * other) and not _on_border(medium.occlusion)
         return (light, ratio) if is_multiple else None
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Uncollided light: rays of a light, sent through the voxels.
+"""Uncollided light: rays of each light, sent through the voxels.
 
-Density is constant in a voxel, so a ray of power p with the optical depth t in a voxel deposits
-p (1 - exp(-t)) there (Beer-Lambert law), at the mean place 1/t - 1/(exp(t) - 1) of its path in the
-voxel. Attenuation is exact; the only error is the finite number of rays. `rays` and `suns` of each
-light say where they are.
+Density is constant in a voxel, so a ray of power p whose path in a voxel has the optical depth t
+deposits p (1 - exp(-t)) there (Beer-Lambert law), at the mean place 1/t - 1/(exp(t) - 1) along the
+path. Attenuation is exact; the only error is the finite number of rays. The lights place the rays:
+see their `rays` and `suns`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,8 +40,8 @@ from .sweep import (
     Voxels,
 )
 
-_AT_ONCE = 2**18  # rays that a device gets at once, at least, as long as there are more
-_BEAMS_AT_ONCE = 8  # beams whose rays are in memory
+_AT_ONCE = 2**18  # rays, at least, that a device gets at once, except for the last ones
+_BEAMS_AT_ONCE = 8  # beams whose rays are in memory at a time
 
 
 @dataclass
@@ -95,8 +95,8 @@ class Cast:
         return 0.0 if self.reflected is None else float(self.reflected.sum(dtype=float))
 
     def times(self, factor: float, reflecting: float) -> "Cast":
-        """The cast of light that is stronger by a factor, and of opaque matter whose reflected
-        share is larger by the factor `reflecting`."""
+        """The cast of light scaled by a factor, with the share that opaque matter reflects scaled
+        by the factor `reflecting`."""
         toward, collided, reflected = self.toward, self.collided, self.reflected
         scaled = Cast(
             _product(factor, self.direct),
@@ -112,12 +112,12 @@ class Cast:
             factor * self.stopped,
             factor * self.entered,
         )
-        # Opaque matter stops the same light; what it reflects less, it absorbs more.
+        # Opaque matter stops the same light: it absorbs what it does not reflect.
         scaled.stopped += factor * self.sent_back - scaled.sent_back
         return scaled
 
     def over(self, other: "Cast") -> tuple[Floats, Floats]:
-        """The fluence and the flux, in the shade, minus those of another cast of this light."""
+        """The fluence and the flux, in the shade, less those of another cast of this light."""
         shade = self.shade.of
         direct = shade(self.direct) - shade(other.direct)
         if self.toward.ndim > 1:
@@ -137,8 +137,8 @@ class _Scores:
     position   (3, of the box)
     direction  (3, nx, ny, nz), or (3,) the unit vector of all rays
     reflected  (of the box), or None without opaque voxels
-    sums       (7,), the light that left through the faces -x, +x, -y, +y, -z, +z, and that opaque
-               matter absorbed
+    sums       (7,), the light that left through the faces -x, +x, -y, +y, -z, +z, and the light
+               that opaque matter absorbed
     shade      a `Box`: outside it light is unattenuated
     """
 
@@ -151,7 +151,7 @@ class _Scores:
 
     @classmethod
     def dark(cls, shape: tuple[int, ...], box: Box, directions: Floats, occluded: bool) -> Self:
-        """Scores of 0, for beams of the directions (n, 3)."""
+        """Scores of 0, for beams with the directions (n, 3)."""
         one = len(directions) == 1
         direction = directions[0] if one else np.zeros((3, *shape), np.float32)
         reflected = np.zeros(box.shape, np.float32) if occluded else None
@@ -175,7 +175,7 @@ class _Scores:
         self.sums[STOPPED] += tallies.sums[STOPPED]
 
     def add_leaving(self, beam: Beam, rays: Floats, beside: int) -> int:
-        """Add the rays of a beam that leave the domain; the number of rays that cross it.
+        """Add the rays of a beam that leave the domain. Returns the number of rays that cross it.
 
         rays, beside  as of `NumpySweep.run`, of this beam
         """
@@ -199,7 +199,7 @@ def cast(
     sigma_t   extinction coefficient at density 1, 1/m
     device    None for the best, a `Device`, or part of the label of one of `device.devices()`
     per_edge  rays along a voxel's edge; see `rays` and `suns` of each light
-    monitor   its `check` ends the cast if the user cancels
+    monitor   its `check` raises Cancelled if the user cancels
     box       a `Box` that holds all matter and all emission; None for the whole domain
     Returns a `Cast`, reproducible on each device. Raises LightError, DeviceError or Cancelled.
     """
@@ -236,7 +236,7 @@ def _marched(
     per_edge: int,
     monitor: Monitor,
 ) -> Cast:
-    """The `Cast` of a light by its rays, followed one by one."""
+    """The `Cast` of a light's rays, followed one by one."""
     everywhere = Box.all(medium.shape)
     march = backend_of(device).march(_voxels(medium, everywhere, band, sigma_t))
     strongest, pieces = light.rays(medium, band, per_edge)
@@ -268,13 +268,13 @@ def _swept(
     per_edge: int,
     monitor: Monitor,
 ) -> Cast:
-    """The `Cast` of a light by its parallel beams, layer by layer."""
+    """The `Cast` of a light's parallel beams, layer by layer."""
     directions, strengths, per_edge_of_each = light.suns(medium, band, per_edge)
     lattice, strongest = rank_1(per_edge_of_each**2), float(strengths.max(initial=0))
     # A beam sees the cross-section of a column of voxels foreshortened by its cosine.
     shares = strengths / (strongest or 1.0) * np.abs(directions).max(axis=1)
-    # W of a ray of weight 1. Of emission, a weight of 1 is that which a ray gains along the edge
-    # of the brightest voxel.
+    # W of a ray of weight 1. For emission, a ray gains a weight of 1 along the edge of the
+    # brightest voxel.
     unit = strongest * medium.voxel_size**2 / lattice.shape[1]
     glow, entered = None, 0.0
     if isinstance(light, Emission):
@@ -306,7 +306,7 @@ def _swept(
 
 
 def _from_one_side(beams: Sequence[Beam]) -> Iterator[list[Beam]]:
-    """Groups of beams to send at once: from one side, and few enough for memory."""
+    """Groups of beams to send at once: all from one side, and few enough for memory."""
     for backward in (False, True):
         side = [beam for beam in beams if beam.backward[0] == backward]
         for first in range(0, len(side), _BEAMS_AT_ONCE):
@@ -325,7 +325,7 @@ def _voxels(
 
 
 def _joined(pieces: Iterable[Photons]) -> Iterator[list[Floats]]:
-    """The same rays in larger pieces."""
+    """The same rays, joined into larger pieces."""
     waiting: list[Photons] = []
     count = 0
     for piece in pieces:
@@ -362,8 +362,8 @@ def _cast(
 
 
 def _softened(cast: Cast, box: Box, softness: Floats) -> Cast:
-    """The `Cast` of a point light, scaled in each voxel by a lamp's softness (nx, ny, nz); the
-    missing power counts as not emitted."""
+    """The `Cast` of a point light, scaled in each voxel by a lamp's softness (nx, ny, nz). The
+    power removed counts as not emitted."""
     cast.direct *= softness
     cast.toward *= softness
     collided, softness = cast.collided, box.of(softness)

@@ -11,7 +11,7 @@ from .sweep import STOPPED, Voxels
 
 # The kinds of a voxel's tallies, as in kernels/uncollided/march.cl.
 SCORE, POSITION, DIRECTION, TALLIES = 0, slice(1, 4), slice(4, 7), 7
-_BORDER = 1e-6  # voxels from a face of the domain within which a ray counts as from outside
+_BORDER = 1e-6  # voxels from a face of the domain: closer rays count as from outside
 _SLOWEST = 1e-18  # components of a direction closer to zero than this are replaced by this
 
 type Starts = tuple[Floats, Booleans, Integers, Integers]
@@ -23,10 +23,10 @@ def enter(domain: Domain, origins: Floats, directions: Floats) -> Starts:
 
     origins     (n, 3) m, world space
     directions  (n, 3)
-    Returns the places (m, 3) in the first voxels, from 0 where a ray of this direction enters a
-    voxel to 1 where it leaves it; which (n,) of the rays cross the domain; their first voxels (m,);
-    and the faces (m,) of the domain, -x, +x, -y, +y, -z, +z, through which they enter, or -1 for
-    rays that start inside.
+    Returns, for the m rays that cross the domain: their places (m, 3) in the first voxels, along
+    each axis from 0 where a ray of this direction enters a voxel to 1 where it leaves it; which
+    (n,) of the rays they are; their first voxels (m,); and the faces (m,) of the domain, -x, +x,
+    -y, +y, -z, +z, through which they enter, or -1 for rays that start inside.
     """
     shape = np.array(domain.shape)
     points = (origins - domain.origin) / domain.voxel_size
@@ -34,7 +34,7 @@ def enter(domain: Domain, origins: Floats, directions: Floats) -> Starts:
     with np.errstate(divide="ignore", invalid="ignore"):
         begin = (np.where(forward, 0, shape) - points) / directions
         end = (np.where(forward, shape, 0) - points) / directions
-    level = directions == 0  # such a ray is always between two faces, or never
+    level = directions == 0  # such a ray is either always between two faces or never
     begin[level] = -np.inf
     end[level] = np.where((points >= 0) & (points <= shape), np.inf, -np.inf)[level]
     axis = begin.argmax(axis=1)
@@ -100,7 +100,7 @@ class NumpyMarch:
             rays = self._cross(*rays)
 
     def _stop_at_border(self, weights: Floats, starts: Integers, faces: Integers) -> Floats | float:
-        """The light from outside that the first voxels stop; what they reflect of it leaves."""
+        """The light from outside that the first voxels stop. The reflected part leaves."""
         occlusion, reflecting = self.voxels.occlusion, self.voxels.reflecting
         if occlusion is None or reflecting is None:
             return 0.0
@@ -118,7 +118,7 @@ class NumpyMarch:
         at: Integers,
         ahead: Integers,
     ) -> tuple[Floats, Floats, Floats, Integers, Integers]:
-        """Take rays through a voxel each; the same of the rays that are still in the domain.
+        """Take each ray through a voxel. Returns the same of the rays still in the domain.
 
         at     (n,), the voxel
         ahead  (n, 3), the number of voxels ahead along each axis
@@ -158,7 +158,7 @@ class NumpyMarch:
     def _score(
         self, places: Floats, directions: Floats, weights: Floats, at: Integers, way: Floats
     ) -> Floats:
-        """Tally the rays' paths through their voxels, of lengths `way`; their weights after it."""
+        """Tally paths of lengths `way` through the rays' voxels. Returns the weights after them."""
         edge = self.voxels.depth.flat[at]
         depth = edge * way
         transmittance, mean, _, place = attenuate(depth)
@@ -173,7 +173,7 @@ class NumpyMarch:
         return weights * transmittance
 
     def _stop(self, weights: Floats, at: Integers, following: Integers) -> Floats | float:
-        """The light, (n,), that the next voxels stop; what they reflect of it is tallied."""
+        """The light, (n,), that the next voxels stop. The reflected part is tallied."""
         occlusion, reflecting = self.voxels.occlusion, self.voxels.reflecting
         if self.reflected is None or occlusion is None or reflecting is None:
             return 0.0

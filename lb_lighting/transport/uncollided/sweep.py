@@ -2,12 +2,12 @@
 """Parallel beams through voxels, layer by layer: uncollided light of suns, skies and emission.
 
 Rays start at the same places above each column of voxels, and layers lie across the axis closest
-to the direction of the rays. All rays of one number then cross the voxels of a layer alike, so
-each voxel looks up the rays that cross it, and no two threads write to the same voxel. The tallies
-of a ray are those of `march.NumpyMarch`; kernels/uncollided/sweep.cl is the twin.
+to the direction of the rays. All rays with the same number then cross the voxels of a layer in the
+same way, so each voxel looks up the rays that cross it, and no two threads write to the same voxel.
+The tallies of a ray are those of `march.NumpyMarch`; kernels/uncollided/sweep.cl is the twin.
 
-Grids are turned to the axes w, u and v, of which w is the axis closest to the direction of the
-rays.
+Grids are transposed ("turned") to the axes w, u and v; w is the axis closest to the direction of
+the rays.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,14 +25,14 @@ type Ends = tuple[int, int]
 """The first index along an axis, and the one after the last."""
 
 NONE, U, V, U_THEN_V, V_THEN_U = range(5)
-# By the order of crossings: the steps to the next voxels along u and v.
+# For each order of crossings: the steps to the next voxels along u and v.
 _TURNS: list[list[tuple[int, int]]] = [[], [(1, 0)], [(0, 1)], [(1, 0), (0, 1)], [(0, 1), (1, 0)]]
 STOPPED = 6  # index in sums, after the faces -w, +w, -u, +u, -v, +v
 
 
 @dataclass(frozen=True)
 class Voxels:
-    """What rays meet: grids (nx, ny, nz), or None.
+    """The matter that rays meet: grids (nx, ny, nz), or None.
 
     depth       optical depth of a voxel's edge
     glow        emission, from 0 to 1
@@ -51,15 +51,15 @@ class Voxels:
         return self.depth, self.glow, self.occlusion, self.reflecting
 
     def of(self, part: Callable[[Floats], Floats]) -> "Voxels":
-        """`Voxels` of the results of a function of a grid."""
+        """`Voxels` with a function applied to each grid."""
         others = (None if grid is None else part(grid) for grid in self.grids[1:])
         return Voxels(part(self.depth), *others)
 
 
 class Turn:
-    """The order of axes w, u, v for light whose direction is closest to an axis.
+    """The axes w, u and v for light whose direction is closest to a given axis.
 
-    axis   0, 1 or 2: w
+    axis   w: 0, 1 or 2
     shape  (nx, ny, nz) of the domain; the attribute is (nw, nu, nv)
     box    a `Box` that holds all matter and all emission
     """
@@ -121,8 +121,8 @@ class Beam:
         return np.flip(grid, tuple(np.flatnonzero(self.backward)))
 
     def shaded(self, layer: int) -> list[Ends]:
-        """The columns of a layer, along u and v, that rays may reach after they were in the box;
-        in all others, light is unattenuated."""
+        """The columns of a layer, along u and v, that rays may reach after they have crossed the
+        box; in all others, light is unattenuated."""
         (begin, end), *sides = self.box
         if layer < begin:
             return [(0, 0)] * 2
@@ -216,7 +216,7 @@ class NumpySweep:
     """Beams through voxels in float64, the twin of kernels/uncollided/sweep.cl.
 
     voxels    `Voxels` of the box of a `Turn`, turned
-    directed  whether the beams have different directions, which are tallied then
+    directed  whether the beams have different directions, which are then tallied
     """
 
     def __init__(self, turn: Turn, voxels: Voxels, directed: bool) -> None:
@@ -235,15 +235,15 @@ class NumpySweep:
         """Send beams that come from the same side.
 
         Returns (beams, count, nu + beside, nv + beside), the weights with which rays leave, by
-        number and column; and beside, the number of columns before the domain in which rays start
-        that enter through its sides.
+        number and column; and beside, the number of columns before the domain, in which the rays
+        start that enter through its sides.
         """
         beside = max(beam.beside for beam in beams)
         rays = [self._sent(beam, beside, monitor) for beam in beams]
         return np.array(rays), beside
 
     def _sent(self, beam: Beam, beside: int, monitor: Monitor) -> Floats:
-        """Send a beam; its rays as of `run`."""
+        """Send a beam. Returns its rays, as of `run`."""
         shape = (len(beam.points), beam.nu + beside, beam.nv + beside)
         rays = np.zeros(shape) if self.voxels.glow is not None else np.ones(shape)
         crossing = _Crossing(beam, self.voxels, self.turn)
@@ -272,7 +272,7 @@ class NumpySweep:
 
 
 class NumpyGlow:
-    """Beams that each gain light from an emission that only they see, in float64; the twin of
+    """Beams that each gain light from an emission of their own, in float64; the twin of
     kernels/uncollided/sweep.cl.
 
     turn   a `Turn`
@@ -320,7 +320,7 @@ class _Crossing:
         return domain
 
     def cross(self, rays: Floats, layer: int, way: Floats, beside: int) -> None:
-        """Take the rays of a number, (nu + beside, nv + beside), through a layer."""
+        """Take the rays of one number, (nu + beside, nv + beside), through a layer."""
         beam, columns = self.beam, way[:2].astype(int)
         begin = beside - 1 - columns
         window = tuple(slice(a, a + n + 1) for a, n in zip(begin, (beam.nu, beam.nv), strict=True))
@@ -348,8 +348,8 @@ class _Crossing:
         return slice(u, u + self.beam.nu + 1), slice(v, v + self.beam.nv + 1)
 
     def _enter(self, weights: Floats, at: tuple[int, slice, slice], entry: int | None) -> Floats:
-        """The weights of rays after what is opaque in the voxels that they enter; entry is the
-        axis along which they come."""
+        """The weights of rays that pass the opaque matter of the voxels that they enter; entry is
+        the axis along which they enter the domain, or None."""
         if self.occlusion is None or self.reflecting is None:
             return weights
         occlusion, back = self.occlusion[at], weights * self.reflecting[at]
@@ -371,7 +371,7 @@ class _Crossing:
         place: Floats,
         step: Floats,
     ) -> Floats:
-        """Tally the paths in voxels; the weights behind them."""
+        """Tally the paths in voxels. Returns the weights behind them."""
         edge = self.depth[at]
         depth = edge * length
         transmittance, mean, source_score, collision_place = attenuate(depth)

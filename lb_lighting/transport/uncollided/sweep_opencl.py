@@ -26,7 +26,7 @@ type Matter = tuple[cl.Buffer, np.uint64]
 
 
 class _Layers:
-    """Sends beams layer by layer through a turned domain, by kernels built with some macros.
+    """Sends beams layer by layer through a turned domain, with kernels built with `macros`.
 
     emitting  whether rays start with a weight of 0
     """
@@ -50,7 +50,7 @@ class _Layers:
     def _send(
         self, beams: Sequence[Beam], matter: Matter, tallied: Sequence[cl.Buffer], monitor: Monitor
     ) -> tuple[Floats, int]:
-        """Send beams; returns what `NumpySweep.run` does.
+        """Send beams. Returns the same as `NumpySweep.run`.
 
         matter   as of `_bordered`
         tallied  the kernel's buffers: tallies, inside, sums
@@ -63,7 +63,7 @@ class _Layers:
         tallies, inside, sums = tallied
         for number, (arguments, is_in_box) in enumerate(self._layers(beams, matter, beside, count)):
             if monitor.cancel is not None and number % _CANCEL_EVERY == 0:
-                self.queue.finish()  # else all layers are enqueued before the first is done
+                self.queue.finish()  # otherwise all layers are enqueued before the first is done
                 monitor.check()
             buffers = (buffer, tallies, np.uint64(prod(turn.shape)), inside, sums)
             self.kernels["tally"](self.queue, turn.shape[:0:-1], None, *arguments, *buffers)
@@ -76,8 +76,8 @@ class _Layers:
     def _layers(
         self, beams: Sequence[Beam], matter: Matter, beside: int, count: int
     ) -> Iterator[tuple[tuple[Any, ...], bool]]:
-        """The arguments that both kernels share, and whether the layer is in the box, of each layer
-        in the order in which light reaches them."""
+        """For each layer, in the order in which light reaches them: the arguments that both
+        kernels share, and whether the layer is in the box."""
         turn, backward = self.turn, bool(beams[0].backward[0])
         (_, nu, nv), (begin, bu, bv), (layers, mu, mv) = turn.shape, turn.lower, turn.box_shape
         sizes = _int8(nu, nv, bu, bv, mu, mv, beside, count)
@@ -124,7 +124,7 @@ class OpenclSweep(_Layers):
         emitting = voxels.glow is not None
         macros = {"DIRECTED": directed, "OCCLUDED": self.occluded, "EMITTING": emitting}
         super().__init__(turn, emitting, [name for name, on in macros.items() if on], device)
-        # The kernels read only the first kinds of matter where the others are absent.
+        # The kernels read only the first kinds of matter if the others are absent.
         self.matter = self._bordered(voxels.grids[: 4 if self.occluded else 2 if emitting else 1])
         self.tallies = zeros(self.queue, 4 * (4 if directed else 1) * prod(turn.shape))
         self.inside = zeros(self.queue, 4 * (4 if self.occluded else 3) * prod(turn.box_shape))
@@ -149,7 +149,7 @@ class OpenclSweep(_Layers):
 
 
 class OpenclGlow(_Layers):
-    """Beams with an emission each on a device, the twin of `NumpyGlow`."""
+    """Beams, each with its emission, on a device, the twin of `NumpyGlow`."""
 
     def __init__(self, turn: Turn, depth: Floats, device: Device) -> None:
         super().__init__(turn, True, ("EMITTING", "APART"), device)
