@@ -156,7 +156,7 @@ def rows(depth, name, photons):
             "times MCX-CL": ours.speed / theirs.speed,
             "s to 1 % noise": ours.to_one_percent,
             "difference": difference / np.linalg.norm(theirs.mean),
-            "in units of noise": difference / np.hypot(ours.noise, theirs.noise),
+            "difference / noise": difference / np.hypot(ours.noise, theirs.noise),
         }
 
 
@@ -170,7 +170,7 @@ def profile(depth, name, photons):
     for what, medium, options in (
         ("all", cloudy, {}),
         ("without scores", cloudy, {"spacing": 1e9}),
-        ("in even density under one bound", even, {"spacing": 1e9, "supervoxel": EDGE}),
+        ("in uniform density under one majorant", even, {"spacing": 1e9, "supervoxel": EDGE}),
     ):
         arguments = (medium, [source(name)])
         options = {"sampler": "supervoxel_constant", "flux": False, **options}
@@ -189,7 +189,7 @@ def main():
     publish("mcx-profile", device.choose().label, [row for c in CASES[:2] for row in profile(*c)])
     found = [row for case in CASES for row in rows(*case)]
     publish("mcx", device.choose().label, found)
-    if any(row["in units of noise"] > MOST_BEYOND_NOISE for row in found):
+    if any(row["difference / noise"] > MOST_BEYOND_NOISE for row in found):
         sys.exit("Not the same fluence: a difference is more than noise.")
 
 

@@ -116,7 +116,7 @@ def kept():
 def table():
     """Markdown: the rows on the front of each medium."""
     rows = [row for row in rows_of("trade") if "error" in row]
-    print("| medium | from fast to right: work, error |\n|---|---|")
+    print("| medium | from fastest to most accurate: work, error |\n|---|---|")
     for name in dict.fromkeys(row["case"] for row in rows):
         steps = (
             f"{way(row)}: {row['work']:.2g}, {100 * row['error']:.1f} %"

@@ -251,6 +251,6 @@ def check_rays(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
 def refuse_violations(violations: int) -> None:
     if violations:
         raise SolverError(
-            f"In {violations} paths the density was over its upper bound, so they are biased; "
+            f"In {violations} paths the density was above its majorant, so they are biased; "
             "this is an error of LB Lighting, please report it with the scene."
         )

@@ -113,7 +113,7 @@ def choose_size(
     Minimizes `cost`, for a uniform fluence. Starting a flight, in its first super-voxel, costs the
     same at every size.
     """
-    require_known(kind, KINDS, "kind of bound")
+    require_known(kind, KINDS, "kind of majorant")
     grid = fine_cells(density, interpolation)
     mean = float(np.mean(density, dtype=float))
     maxima, costs = block_maxima(grid.values, grid.shape, 1), {}
