@@ -133,7 +133,7 @@ def test_a_bound_that_is_too_low_is_seen(sampler, interpolation):
     assert violations > 0
     for found in FOUND:
         prepared = lowered(prepare(cloud(), sampler, interpolation, found=found))
-        with pytest.raises(SolverError, match="over its upper bound"):
+        with pytest.raises(SolverError, match="above its majorant"):
             prepared.sample(*random_rays(cloud(), 10_000))
 
 
@@ -144,7 +144,7 @@ def test_a_bound_of_noise_that_is_too_low_is_seen(sampler, found):
     rays = random_rays(medium, 5_000)
     prepared = prepare(medium, sampler, found=found)
     prepared.sample(*rays)
-    with pytest.raises(SolverError, match="over its upper bound"):
+    with pytest.raises(SolverError, match="above its majorant"):
         lowered(prepared, 0.5).sample(*rays)
 
 

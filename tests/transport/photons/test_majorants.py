@@ -294,12 +294,12 @@ def test_chosen_size_follows_the_medium(kind, interpolation):
     assert choose_size(np.zeros(shape), 1.0, kind, interpolation) >= 32
 
 
-def test_what_no_bound_can_be_made_of_is_refused():
+def test_what_has_no_majorants_is_refused():
     density = np.ones((3, 3, 3), np.float32)
     for make in (constant_majorants, linear_majorants):
         with pytest.raises(SettingsError, match="1 fine cell or more an edge, not 0"):
             make(density, 0)
         with pytest.raises(SettingsError, match="no interpolation called 'cubic'"):
             make(density, 1, "cubic")
-    with pytest.raises(SettingsError, match="no kind of bound called 'cubic'"):
+    with pytest.raises(SettingsError, match="no kind of majorant called 'cubic'"):
         choose_size(density, 1.0, "cubic")

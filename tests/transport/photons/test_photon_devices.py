@@ -225,7 +225,7 @@ def test_bound_that_is_too_low_is_refused(found, monkeypatch):
         return replace(grid, majorants=replace(grid.majorants, values=values))
 
     monkeypatch.setattr(photons, "path_grid", lowered)
-    with pytest.raises(SolverError, match="over its upper bound"):
+    with pytest.raises(SolverError, match="above its majorant"):
         trace(lumpy(), LIGHTS, 1000, device=found)
 
 

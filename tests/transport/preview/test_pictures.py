@@ -331,7 +331,7 @@ def test_bounds_that_do_not_hold_are_refused():
     look = scene("voxels", NUMPY)
     lowered = replace(look.grid.majorants, values=look.grid.majorants.values / 2)
     look.eye.grid = replace(look.grid, majorants=lowered)
-    with pytest.raises(SolverError, match="over its upper bound"):
+    with pytest.raises(SolverError, match="above its majorant"):
         look(np.arange(1200), np.full((1200, 2), 0.5), 1)
 
 
