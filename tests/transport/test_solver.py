@@ -10,7 +10,7 @@ from tests.transport.hybrid_media import SHAPE, H, cloud, difference, solved
 
 
 def test_thick_voxels_are_divided():
-    """To voxels of at most 3 transport free paths: 4 becomes 2 in each of two pieces."""
+    """To voxels of at most 3 transport mean free paths: 4 becomes 2 in each of two pieces."""
     thick = Medium(np.ones((4, 4, 4)), 1.0, 4.0, 0.0)
     divided, explicit = solved(thick), solved(thick, divide=2)
     np.testing.assert_array_equal(divided.fluence, explicit.fluence)

@@ -30,7 +30,7 @@ _VOXELS_OF_NOISE = 64  # along an edge: noise itself is never integrated
 # (7 % if the medium scatters forward, away from the camera), and the albedo up to which this holds
 # at any depth: docs/theory/free-paths.md, "Preview".
 _THIN, _DARK = 0.05, 0.04
-# Edge of a voxel in transport free paths: below the first, more voxels do not improve the light
+# Edge of a voxel in transport mean free paths: below the first, more voxels do not improve light
 # (docs/theory/physics.md, "By resolution"); above the second, voxels are divided, as they are above
 # the last, in diffusion lengths, because of absorption ("Voxels that are too thick").
 _RESOLVED, _THICKEST, _DARKEST = 0.5, 3.0, 0.9
@@ -156,8 +156,10 @@ def advice(measured: Statistics, resolution: int) -> str:
 
 
 def _of_voxel(measured: Statistics, resolution: int) -> tuple[float, float]:
-    """A voxel's edge in transport free paths, and in diffusion lengths, weighted by the albedo as
-    in `subdivision`."""
+    """A voxel's edge in transport mean free paths, and in diffusion lengths.
+
+    It is weighted by the albedo, as in `subdivision`.
+    """
     transport = 1 - measured.albedo * measured.g
     depth = measured.voxel_depth * (measured.voxels / resolution) * measured.albedo
     return depth * transport, depth * np.sqrt(3 * (1 - measured.albedo) * transport)
