@@ -102,7 +102,7 @@ MODELS = (
     ),
 )
 QUALITIES = (
-    Choice("preview", "Preview", "Error of at most 20%, in about a second: for placing lamps"),
+    Choice("preview", "Preview", "Error of at most 20%: the fastest, for placing lamps"),
     Choice("draft", "Draft", "Error of at most 10%: usually the lattice alone, free of noise"),
     Choice("final", "Final", "Error of at most 5%: adds photons where the lattice needs them"),
     Choice("reference", "Reference", "Error of at most 2%: slow, for comparison"),
