@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reading a scene: from the objects that the user selected to the task of a bake."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -27,6 +26,7 @@ from .scene.surface_sources import FoliageSource
 from .scene.surroundings import note_surroundings
 from .tasks.bake import BakeTask
 from .tasks.result import SequenceChoices
+from .transport.lights.base import Light
 from .transport.lights.distant import Sky
 from .transport.medium import Optics
 
@@ -183,7 +183,7 @@ def _without_mesh(objects: Objects, sources: list[Source]) -> list[str]:
 
 
 def _takes_sky(
-    objects: Objects, sources: list[Source], lights: list[Any], notes: list[str]
+    objects: Objects, sources: list[Source], lights: Sequence[Light], notes: list[str]
 ) -> bool:
     """Whether surfaces can show the uncollided light of the sky too; if not, a note says why."""
     showing = {s: ob for ob, s in zip(objects, sources, strict=True) if s.shows_light}

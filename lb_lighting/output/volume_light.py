@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import Array, Floats, Spectrum
 from ..transport.box import Box
 from ..transport.field import Field
+from ..transport.lights.base import Light
 from ..transport.lights.distant import Sun
 from ..transport.medium import Domain
 from ..transport.ordinates.moments import beside_beams, of_lobes, way_of
@@ -22,7 +23,7 @@ type Shown = tuple[Array, Grids, Array]  # light, others, forward light by beam
 
 
 def volume_light(
-    field: Field, lights: Sequence[Any], mode: str, g: Spectrum = 0.0
+    field: Field, lights: Sequence[Light], mode: str, g: Spectrum = 0.0
 ) -> tuple[Array, Grids, list[Any]]:
     """The light in the `Field` of `lights` as a baked volume shows it: (light, others, beams).
 

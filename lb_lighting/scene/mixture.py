@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import Floats, Vector
 from ..errors import EmptyError
+from ..transport.lights.base import Light
 from ..transport.lights.distant import Sun
 from ..transport.medium import Optics
 from .materials import grey
@@ -91,7 +92,7 @@ def is_exact(shares: Sequence[Share]) -> bool:
     return not present or bool(np.ptp(_per_extinction(present), axis=1).max() <= ALIKE)
 
 
-def with_shadows[Light](lights: list[Light], shares: Sequence[Share]) -> list[Light]:
+def with_shadows(lights: Sequence[Light], shares: Sequence[Share]) -> Sequence[Light]:
     """`lights`; if one of the `shares` has a `toward`, the suns get their `shadow_density`."""
     present = _present(shares)
     if not any(share.toward for share in present):

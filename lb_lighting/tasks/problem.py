@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import LightingError, SceneError
 from ..scene.mixture import mixture, occluders, with_shadows
-from ..transport.lights.base import bands_of
+from ..transport.lights.base import Light, bands_of
 from ..transport.medium import Domain, Medium, Optics
 from ..transport.solver import Settings, require_memory
 
@@ -38,7 +38,7 @@ class Problem:
 
     medium: Medium
     shown: tuple[Floats, Optics]
-    lights: list[Any]
+    lights: Sequence[Light]
 
 
 @dataclass
@@ -57,7 +57,7 @@ class SceneTask:
     options: Options
     sources: list[Source]
     medium_choice: MediumChoice
-    lights: list[Any]
+    lights: Sequence[Light]
     box: tuple[Floats, Floats] | None
     left_out: list[Source]
     is_frame: bool
@@ -157,7 +157,7 @@ class SceneTask:
         return values
 
 
-def _bands(optics: Optics, lights: list[Any], albedo: Floats, emission: Floats | None) -> int:
+def _bands(optics: Optics, lights: Sequence[Light], albedo: Floats, emission: Floats | None) -> int:
     """3 if a coefficient, a light, an occluder or the emission has a colour, else 1."""
     if emission is not None and np.ptp(emission, axis=0).any():
         return 3

@@ -6,10 +6,9 @@ are {band: factor}; it is one of them itself.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from ..arrays import Floats
-from .lights.base import multiple, same
+from .lights.base import Light, multiple, same
 from .medium import Medium
 
 type Multiples = dict[int, float]
@@ -17,7 +16,7 @@ type Problem = tuple[int, Multiples, list[int]]  # band to solve, its multiples,
 type Group = tuple[list[int], dict[int, Multiples], bool]
 
 
-def distinct(medium: Medium, lights: Sequence[Any]) -> list[tuple[int, Multiples]]:
+def distinct(medium: Medium, lights: Sequence[Light]) -> list[tuple[int, Multiples]]:
     """[(band to solve, its multiples)]: bands that are multiples of each other are solved once."""
     bands: list[tuple[int, Multiples]] = []
     for band in range(medium.bands):
@@ -31,7 +30,7 @@ def distinct(medium: Medium, lights: Sequence[Any]) -> list[tuple[int, Multiples
     return bands
 
 
-def bands_to_solve(medium: Medium, lights: Sequence[Any], apart: bool) -> list[Problem]:
+def bands_to_solve(medium: Medium, lights: Sequence[Light], apart: bool) -> list[Problem]:
     """[(band to solve, its multiples, numbers of its lights)].
 
     apart  whether each light may be solved alone: in a grey medium it is then solved in one band,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
+from .lights.base import Light
 from .medium import Medium
 
 # Layers of empty voxels around matter in the box: in the first one light meets opaque voxels
@@ -58,7 +59,7 @@ class Box:
         return grid[..., *map(slice, self.lower, self.upper)]
 
 
-def matter(medium: Medium, lights: Sequence[Any]) -> Box:
+def matter(medium: Medium, lights: Sequence[Light]) -> Box:
     """The `Box` of everything that light may collide with and of all emission."""
     shadows = [light.shadow_density for light in lights]
     emission = None if medium.emission is None else medium.emission.sum(axis=0)

@@ -9,7 +9,7 @@ equations and says what they neglect.
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf, isinf, prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from .context import Context
 from .device import Device
 from .field import Clock, Field
 from .lattice.subdivision import wished_pieces
-from .lights.base import darkness
+from .lights.base import Light, darkness
 from .lights.emission import Emission
 from .medium import Medium
 from .memory import DOUBLE, FLOAT, Footprint, require_memory
@@ -50,7 +50,7 @@ _TRACING, _CASTING = 0.5, 0.3  # shares of the progress: of photons; of rays in 
 
 def solve(
     medium: Medium,
-    lights: Sequence[Any],
+    lights: Sequence[Light],
     settings: "Settings",
     device: Device,
     clock: Clock,
@@ -78,7 +78,7 @@ def solve(
 
 
 def _solve_resampled(
-    medium: Medium, lights: Sequence[Any], merge: int, context: Context, needed: int
+    medium: Medium, lights: Sequence[Light], merge: int, context: Context, needed: int
 ) -> Field:
     """The `Field` in voxels of which `merge` along each edge are merged; voxels that are too thick
     for the lattice are divided for the solve."""
@@ -94,7 +94,7 @@ def _solve_resampled(
     return division.restored(field)
 
 
-def _solve_bands(medium: Medium, lights: Sequence[Any], context: Context) -> Field:
+def _solve_bands(medium: Medium, lights: Sequence[Light], context: Context) -> Field:
     """The `Field` of the lights and the medium's emission, in the medium's voxels."""
     # Prepare: group the bands, crop empty space, trace photons up to their last collision.
     settings = context.settings
@@ -126,7 +126,7 @@ def _solve_bands(medium: Medium, lights: Sequence[Any], context: Context) -> Fie
 def _solve_group(
     medium: Medium,
     box: Box,
-    lights: Sequence[Any],
+    lights: Sequence[Light],
     traced: Field | None,
     lit: dict[int, BandLight],
     context: Context,
@@ -153,7 +153,7 @@ def _solve_group(
     monitor.report("solve", 1.0)
 
 
-def _trace(medium: Medium, lights: Sequence[Any], last: float, context: Context) -> Field:
+def _trace(medium: Medium, lights: Sequence[Light], last: float, context: Context) -> Field:
     """The `Field` of photons up to collision number `last`; infinity for all collisions."""
     monitor = context.monitor.part(0.0, _TRACING)
     with context.clock("trace"):
@@ -184,7 +184,7 @@ def _last_collision(medium: Medium, settings: "Settings") -> float:
     return max(settings.traced_collisions, 1 + round(float(collisions.max())))
 
 
-def _refuse_unfit(medium: Medium, lights: Sequence[Any]) -> None:
+def _refuse_unfit(medium: Medium, lights: Sequence[Light]) -> None:
     for light in lights:
         shadow = light.shadow_density
         if shadow is not None and shadow.shape != medium.shape:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import Floats
 from .field import Field
+from .lights.base import Light
 from .medium import Medium, merged, repeated
 
 
@@ -32,12 +33,9 @@ class Resampling:
             return medium.merged(self.merge)
         return medium.divided(self.divide) if self.divide > 1 else medium
 
-    def lights(self, lights: Sequence[Any]) -> list[Any]:
+    def lights(self, lights: Sequence[Light]) -> list[Light]:
         """Lights for a medium in these voxels."""
-        return [self._light(light) for light in lights]
-
-    def _light(self, light: Any) -> Any:
-        return light.with_shadow_density(self._grid)
+        return [light.with_shadow_density(self._grid) for light in lights]
 
     def _grid(self, grid: Floats) -> Any:
         if self.merge > 1:

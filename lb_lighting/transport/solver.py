@@ -3,13 +3,14 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from ..errors import SettingsError, require_known, require_whole
 from . import device as devices
 from . import hybrid, memory
 from .device import Device
 from .field import Clock, Field
+from .lights.base import Light
 from .medium import Medium
 from .monitor import Monitor
 from .paper import model as paper
@@ -21,7 +22,7 @@ class Model(Protocol):
     def solve(
         self,
         medium: Medium,
-        lights: Sequence[Any],
+        lights: Sequence[Light],
         settings: "Settings",
         device: Device,
         clock: Clock,
@@ -130,7 +131,7 @@ class Settings:
 
 def solve(
     medium: Medium,
-    lights: Iterable[Any],
+    lights: Iterable[Light],
     settings: Settings | None = None,
     device: Device | str | None = None,
     progress: Callable[[str, float], None] | None = None,

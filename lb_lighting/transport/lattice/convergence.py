@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..backend import Lattice
 from .multigrid import Level
 
 _CHECK_EVERY = 8  # steps between two checks
@@ -28,7 +29,7 @@ _USELESS = 0.6  # corrections that shrink no faster than this are not worthwhile
 class ConvergenceMonitor:
     """The changes of a lattice's fluence from check to check."""
 
-    lattice: Any
+    lattice: Lattice
     light: Any = 0.0
     changes: list[float] = field(default_factory=list)  # relative, since the last correction
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Array, Floats
+from ..backend import Lattice
 from .lattice_numpy import sum_of_eight
 
 _SMALLEST = 8  # voxels, the longest edge that is not coarsened
@@ -32,7 +33,7 @@ class Level:
 
     def __init__(
         self,
-        make: Callable[..., Any],
+        make: Callable[..., Lattice],
         depth: Floats,
         albedo: float,
         g: float,

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Floats, Integers
+from ..backend import Lattice
 from ..box import Box
 from .layout import LENGTHS, MOVING
 
 
-def stream_on(lattice: Any, box: Box, scale: float, fluence: Floats, flux: Floats) -> Floats:
+def stream_on(lattice: Lattice, box: Box, scale: float, fluence: Floats, flux: Floats) -> Floats:
     """Stream the light that leaves the lattice of a box through the domain.
 
     Adds `scale` times the light to fluence (nx, ny, nz) and flux (3, nx, ny, nz) of the domain.
